@@ -61,7 +61,7 @@ def estimate_reflected_light(
         ratio: use the known irradiance; False: the plain sums over samples, as in the paper.
     """
     sums, lamps = sums[..., :SUMS], sums[..., SUMS:]
-    (irradiance, scaled, added, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
+    (irradiance, f0_term, fresnel_term, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
     albedo = diffuse_albedo(surface, conserving) / math.pi
     f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
     body, diffuse_split = albedo, albedo * split[:, 0]
@@ -71,7 +71,7 @@ def estimate_reflected_light(
         body = albedo * factor
         visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
         diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
-    estimate = Estimate(body * irradiance, f0 * scaled + added, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
+    estimate = Estimate(body * irradiance, f0 * f0_term + fresnel_term, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
     return _plus_lamps(estimate, lamps, albedo, f0) if lamps.shape[-1] else estimate
 
 
@@ -95,10 +95,10 @@ def _plus_lamps(estimate: Estimate, sums: torch.Tensor, albedo: torch.Tensor, f0
         albedo: (P, 3) of the diffuse lobe over pi.
         f0: (P, 3) reflectance at normal incidence.
     """
-    (irradiance, scaled, added), split = sums.sum(1).view(-1, 3, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 3, 3)
+    (irradiance, f0_term, fresnel_term), split = sums.sum(1).view(-1, 3, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 3, 3)
     return Estimate(
         estimate.diffuse + albedo * irradiance,
-        estimate.specular + f0 * scaled + added,
+        estimate.specular + f0 * f0_term + fresnel_term,
         estimate.diffuse_split + albedo * split[:, 0],
         estimate.specular_split + f0 * split[:, 1] + split[:, 2],
         estimate.samples,

@@ -82,8 +82,8 @@ def bounced_sums(rays: SecondaryRays, lamps: Sequence[Lamp], query: SurfaceQuery
     assert surfaces is not None
     points = dataclasses.replace(surfaces.points, alpha=surfaces.points.alpha.clamp_min(BOUNCE_ALPHA))
     shift = _shifts(len(points.normal)).to(points.normal)
-    irradiance, scaled, added = lamp_sums(points, lamps, shift, BOUNCE, query).sum(1).unbind(1)
-    light = rays.hits.diffuse / math.pi * irradiance + surfaces.f0 * scaled + added
+    irradiance, f0_term, fresnel_term = lamp_sums(points, lamps, shift, BOUNCE, query).sum(1).unbind(1)
+    light = rays.hits.diffuse / math.pi * irradiance + surfaces.f0 * f0_term + fresnel_term
     count = rays.row.shape[1]
     hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
     k, terms = rays.row.flatten()[hit].long(), rays.terms.view(-1, 6)[hit]

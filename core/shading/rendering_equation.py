@@ -46,11 +46,11 @@ def reflect_light(
     view, alpha = bend_view_to_normal(view, normal), ggx_alpha(roughness)
     use_kernel = incoming.dtype == torch.float32 and not by_warp(incoming)
     sums = (weighted_sums if use_kernel else weighted_sums_reference)(view, normal, alpha, samples.direction, samples.density, incoming)
-    irradiance, scaled, added = sums.unbind(1)  # the last axis is colour
+    irradiance, f0_term, fresnel_term = sums.unbind(1)  # the last axis is colour
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi
     if conserving:
         diffuse = diffuse * diffuse_fraction((view * normal).sum(-1), roughness)[:, None]
-    return diffuse, base_reflectance(albedo, metallic[:, None]) * scaled + added
+    return diffuse, base_reflectance(albedo, metallic[:, None]) * f0_term + fresnel_term
 
 
 def weighted_sums_reference(

@@ -277,13 +277,13 @@ def lobes(measured: Measured) -> None:
     fixed = (towards.T.contiguous().numpy(), angle.numpy(), seen, np.zeros((len(view), 3, len(towards)), np.float32))
     within = np.repeat(towards.numpy()[:, :, None], WITHIN, 2)  # a mean over them is the lobe in the direction
     alpha = ggx_alpha(roughness)
-    scaled, added, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), fixed, within, len(towards))
+    f0_term, fresnel_term, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), fixed, within, len(towards))
     bent = view.double() + (1e-3 - (view * normal).sum(1, keepdim=True).double()).clamp_min(0) * normal.double()
     directions = towards.double().expand(len(view), -1, 3)
     bent = torch.nn.functional.normalize(bent, dim=1)
     n_l, value, power = specular_lobe(bent, normal.double(), alpha.double(), directions)
     true = value * n_l.clamp_min(0) * angle
-    rows = torch.from_numpy(np.stack([scaled, added]))
+    rows = torch.from_numpy(np.stack([f0_term, fresnel_term]))
     exact = torch.stack([true * (1 - power), true * power])
     front = (view * normal).sum(1) > 1e-3  # at and behind the silhouette the kernel uses n.v = 0.001 with the unchanged view
     measured.finite("rows", rows)

@@ -103,13 +103,13 @@ def photographed(transfer, position, normal, views=8):
 def rendered(seen, transfer, light, albedo, roughness, metallic):
     """Return the radiance (K, 3) of the samples."""
     point = seen.point
-    scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(seen, roughness)
     irradiance = (transfer.irradiance @ light + transfer.indirect)[point]
     fraction = diffuse_fraction((seen.normal[point] * seen.view).sum(1), roughness[point])[:, None]
     metal = metallic[point, None]
-    specular = scaled @ light + rest_scaled
+    specular = f0_term @ light + f0_indirect
     f0 = 0.04 * (1 - metal) + metal * albedo[point]
-    return (1 - metal) * albedo[point] * fraction * irradiance + f0 * specular + added @ light + rest_added
+    return (1 - metal) * albedo[point] * fraction * irradiance + f0 * specular + fresnel_term @ light + fresnel_indirect
 
 
 def make(*counts):

@@ -70,8 +70,8 @@ def _listed(narrow, count, at, lanes, factor, offset):
 
 @kernel
 def lobe_rows_range(
-    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, within, scaled, added,
-    rest_scaled, rest_added,
+    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, within, f0_term, fresnel_term,
+    f0_indirect, fresnel_indirect,
 ):  # fmt: skip
     """Compute for views begin..end both parts of the lobe per texel, (K, texels) flat, and applied to the indirect light, (K, 3)."""
     count, zero = texels * subs, splat(_ZERO)
@@ -84,7 +84,7 @@ def lobe_rows_range(
         a2 = alpha[p] * alpha[p]
         r0, r1, r2, s0, s1, s2 = zero, zero, zero, zero, zero, zero
         for texel in range(0, texels, 8):
-            sum_scaled, sum_added = zero, zero
+            sum_f0, sum_fresnel = zero, zero
             for sub in range(subs):
                 at = sub * texels + texel
                 dx, dy, dz, n_l = _cosines(direction, count, at, nx, ny, nz)
@@ -98,31 +98,31 @@ def lobe_rows_range(
                 bias = value * power
                 value = value - bias
                 free = load(visible, p * count + at)
-                sum_scaled, sum_added = sum_scaled + value * free, sum_added + bias * free
+                sum_f0, sum_fresnel = sum_f0 + value * free, sum_fresnel + bias * free
                 i0 = load(indirect, p * 3 * count + at)
                 i1 = load(indirect, (p * 3 + 1) * count + at)
                 i2 = load(indirect, (p * 3 + 2) * count + at)
                 r0, r1, r2 = r0 + value * i0, r1 + value * i1, r2 + value * i2
                 s0, s1, s2 = s0 + bias * i0, s1 + bias * i1, s2 + bias * i2
-            store(scaled, k * texels + texel, sum_scaled)
-            store(added, k * texels + texel, sum_added)
-        rest_scaled[k, 0], rest_scaled[k, 1], rest_scaled[k, 2] = total(r0), total(r1), total(r2)
-        rest_added[k, 0], rest_added[k, 1], rest_added[k, 2] = total(s0), total(s1), total(s2)
+            store(f0_term, k * texels + texel, sum_f0)
+            store(fresnel_term, k * texels + texel, sum_fresnel)
+        f0_indirect[k, 0], f0_indirect[k, 1], f0_indirect[k, 2] = total(r0), total(r1), total(r2)
+        fresnel_indirect[k, 0], fresnel_indirect[k, 1], fresnel_indirect[k, 2] = total(s0), total(s1), total(s2)
         for i in range(listed):
             at = narrow[i]
             mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, a2)
             mean, mean_bias = mean * solid_angle[at], mean_bias * solid_angle[at]
-            scaled[k * texels + at % texels] += mean * visible[p * count + at]
-            added[k * texels + at % texels] += mean_bias * visible[p * count + at]
+            f0_term[k * texels + at % texels] += mean * visible[p * count + at]
+            fresnel_term[k * texels + at % texels] += mean_bias * visible[p * count + at]
             for channel in range(3):
                 reflected = indirect[(p * 3 + channel) * count + at]
-                rest_scaled[k, channel] += mean * reflected
-                rest_added[k, channel] += mean_bias * reflected
+                f0_indirect[k, channel] += mean * reflected
+                fresnel_indirect[k, channel] += mean_bias * reflected
 
 
 @kernel
 def lobe_sums_range(
-    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, within, light, scaled, added
+    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, within, light, f0_term, fresnel_term
 ):  # fmt: skip
     """Integrate for views begin..end both parts of the lobe over all light, (K, J, 3).
 
@@ -166,13 +166,13 @@ def lobe_sums_range(
                     store(sums, to + 40, load(sums, to + 40) + bias * l2)
         for j in range(widths):
             for channel in range(3):
-                scaled[k, j, channel] = total(load(sums, j * 48 + channel * 8))
-                added[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
+                f0_term[k, j, channel] = total(load(sums, j * 48 + channel * 8))
+                fresnel_term[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
         for i in range(listed):
             at, j = narrow[i] // widths, narrow[i] % widths
             mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, alphas[j] * alphas[j])
             for channel in range(3):
                 incoming = light[channel * texels + at % texels] * visible[p * count + at]
                 incoming = (incoming + indirect[(p * 3 + channel) * count + at]) * solid_angle[at]
-                scaled[k, j, channel] += mean * incoming
-                added[k, j, channel] += mean_bias * incoming
+                f0_term[k, j, channel] += mean * incoming
+                fresnel_term[k, j, channel] += mean_bias * incoming

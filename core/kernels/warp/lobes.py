@@ -36,7 +36,7 @@ def parts_of(point: Point, d: wp.vec3, n_l: float, angle: float, within: wp.arra
 def rows(
     texels: int, subs: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=float), direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float), visible: wp.array2d(dtype=float),
-    within: wp.array3d(dtype=float), scaled: wp.array2d(dtype=float), added: wp.array2d(dtype=float),
+    within: wp.array3d(dtype=float), f0_term: wp.array2d(dtype=float), fresnel_term: wp.array2d(dtype=float),
 ):  # fmt: skip
     """Compute both parts of the lobe per texel of the light, (K, texels)."""
     k, texel = wp.tid()
@@ -50,8 +50,8 @@ def rows(
         n_l = wp.dot(n, d)
         if n_l > 0.0:
             total += parts_of(shading_point, d, n_l, solid_angle[at], within, at) * (solid_angle[at] * visible[p, at])
-    scaled[k, texel] = total[0]
-    added[k, texel] = total[1]
+    f0_term[k, texel] = total[0]
+    fresnel_term[k, texel] = total[1]
 
 
 @wp.kernel
@@ -59,7 +59,7 @@ def sums(
     texels: int, count: int, point: wp.array(dtype=wp.int64), view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3),
     alpha: wp.array(dtype=float), each: int, direction: wp.array2d(dtype=float), solid_angle: wp.array(dtype=float),
     visible: wp.array2d(dtype=float), indirect: wp.array3d(dtype=float), within: wp.array3d(dtype=float), light: wp.array(dtype=wp.vec3),
-    scaled: wp.array2d(dtype=wp.vec3), added: wp.array2d(dtype=wp.vec3),
+    f0_term: wp.array2d(dtype=wp.vec3), fresnel_term: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
     """Integrate both parts of the lobe over a light and the indirect light, (K, J); alpha is per point if `each` is 1, else J widths."""
     k, j = wp.tid()
@@ -79,8 +79,8 @@ def sums(
             parts = parts_of(shading_point, d, n_l, solid_angle[at], within, at)
             by_f0 += incoming * parts[0]
             by_fresnel += incoming * parts[1]
-    scaled[k, j] = by_f0
-    added[k, j] = by_fresnel
+    f0_term[k, j] = by_f0
+    fresnel_term[k, j] = by_fresnel
 
 
 def lobe_sums(
@@ -102,12 +102,12 @@ def lobe_sums(
     Returns:
         The part that F0 scales and the part that Fresnel adds, (K, J, 3) each.
     """
-    scaled, added = view.new_zeros(2, len(point), 1 if each else len(alphas), 3)
+    f0_term, fresnel_term = view.new_zeros(2, len(point), 1 if each else len(alphas), 3)
     views = (point, view.contiguous(), normal.contiguous(), alphas.contiguous())
     counts = (len(light), fixed[0].shape[1])
     if len(point):
-        launch(sums, scaled.shape[:2], *counts, *views, int(each), *fixed, within, light.contiguous(), scaled, added)
-    return scaled, added
+        launch(sums, f0_term.shape[:2], *counts, *views, int(each), *fixed, within, light.contiguous(), f0_term, fresnel_term)
+    return f0_term, fresnel_term
 
 
 def lobe_rows(
@@ -129,11 +129,11 @@ def lobe_rows(
         Both parts, (K, texels) each, and both applied to the indirect light, (K, 3) each.
     """
     direction, angle, visible, _ = fixed
-    scaled, added = view.new_zeros(2, len(point), texels)
+    f0_term, fresnel_term = view.new_zeros(2, len(point), texels)
     subs = direction.shape[1] // texels
     views = (point, view.contiguous(), normal.contiguous(), alpha.contiguous())
     if len(point):
-        launch(rows, scaled.shape, texels, subs, *views, direction, angle, visible, within, scaled, added)
+        launch(rows, f0_term.shape, texels, subs, *views, direction, angle, visible, within, f0_term, fresnel_term)
     dark = view.new_zeros(texels, 3)
-    rest_scaled, rest_added = lobe_sums(point, view, normal, alpha, fixed, within, dark, each=True)
-    return scaled, added, rest_scaled[:, 0], rest_added[:, 0]
+    f0_indirect, fresnel_indirect = lobe_sums(point, view, normal, alpha, fixed, within, dark, each=True)
+    return f0_term, fresnel_term, f0_indirect[:, 0], fresnel_indirect[:, 0]

@@ -80,12 +80,12 @@ def close(actual, expected):
 
 def test_rows_are_the_brdf_summed_over_each_texel(scene):
     point, view, normal, fixed, within = scene
-    scaled, added, rest_scaled, rest_added = lobe_rows(point, view, normal, ALPHAS, fixed, within, TEXELS)
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = lobe_rows(point, view, normal, ALPHAS, fixed, within, TEXELS)
     parts = reference(point, view, normal, ALPHAS[point], fixed, within)
-    for row, rest, part in zip((scaled, added), (rest_scaled, rest_added), parts, strict=True):
+    for row, rest, part in zip((f0_term, fresnel_term), (f0_indirect, fresnel_indirect), parts, strict=True):
         close(row, (part * fixed[2][point]).reshape(len(point), SIDE**2, TEXELS).sum(1))
         close(rest, np.einsum("kd,kcd->kc", part, fixed[3][point]))
-    assert scaled.max() > 0.1  # in the row of a mirror
+    assert f0_term.max() > 0.1  # in the row of a mirror
 
 
 @pytest.mark.parametrize("lit", ["light", "indirect light"])
@@ -93,11 +93,11 @@ def test_sums_for_several_widths_are_the_brdf_under_a_light(scene, lit):
     point, view, normal, (direction, angle, visible, indirect), within = scene
     visible, indirect = (visible, 0 * indirect) if lit == "light" else (0 * visible, indirect)
     light = np.random.default_rng(5).random((TEXELS, 3)).astype(np.float32)
-    scaled, added = lobe_sums(point, view, normal, ALPHAS, (direction, angle, visible, indirect), within, light)
+    f0_term, fresnel_term = lobe_sums(point, view, normal, ALPHAS, (direction, angle, visible, indirect), within, light)
     incoming = visible[:, None] * np.tile(light.T, SIDE**2) + indirect
     for j, alpha in enumerate(ALPHAS):
         parts = reference(point, view, normal, np.full(len(point), alpha), (direction, angle), within)
-        for actual, part in zip((scaled[:, j], added[:, j]), parts, strict=True):
+        for actual, part in zip((f0_term[:, j], fresnel_term[:, j]), parts, strict=True):
             close(actual, np.einsum("kd,kcd->kc", part, incoming[point]))
 
 

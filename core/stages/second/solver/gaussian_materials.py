@@ -135,11 +135,11 @@ def fitted_albedo(
     Returns:
         (P, 3) albedo.
     """
-    scaled, added, rest_scaled, rest_added = transfer.rows(samples, roughness)
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(samples, roughness)
     point, metal = samples.point, metallic[samples.point][:, None]
     irradiance = transfer.diffuse_rows(samples).irradiance(light)
     diffuse = diffuse_fraction(samples.n_v, roughness[point])[:, None]
-    factor, rest = view_terms(metal, diffuse, irradiance, scaled @ light + rest_scaled, added @ light + rest_added)
+    factor, rest = view_terms(metal, diffuse, irradiance, f0_term @ light + f0_indirect, fresnel_term @ light + fresnel_indirect)
     derivative = approximate_srgb_derivative(samples.colour)
     # At first all samples of a point weigh the same in linear radiance: by the derivative a wrongly dark one would dominate.
     albedo = least_squares_albedo(samples, torch.ones_like(factor), factor, rest)

@@ -6,12 +6,12 @@ given roughness and metallic, in the albedo a:
 
     y_k = a_p c_k + d_k,  c = (1 - m)(1 - E_s) E + m S,  d = 0.04 (1 - m) S + S',
 
-where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and S, S' are the parts of the specular lobe that F0 scales
-and that Fresnel adds (core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect light. The albedo is
-eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes Gauss-Newton steps, and
-roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal: `metal_regions.py`). At the end
-the roughness gets a prior from all points of like albedo (`roughness_prior.py`), and the normals of metal turn towards its reflections
-(`metal_normals.py`).
+where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and F0 S + S' the specular lobe in split-sum form: S is its
+scale (`f0_term`), S' its bias (`fresnel_term`; core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect
+light. The albedo is eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes
+Gauss-Newton steps, and roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal:
+`metal_regions.py`). At the end the roughness gets a prior from all points of like albedo (`roughness_prior.py`), and the normals of metal
+turn towards its reflections (`metal_normals.py`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.

@@ -70,13 +70,13 @@ class MaterialSearch:
             (P, M, J): for a dielectric, and for a metal where there may be any, at each of ROUGHNESS_VALUES.
         """
         samples = self.samples
-        scaled, added = self.transfer.sums(samples, self._knots, light)
+        f0_term, fresnel_term = self.transfer.sums(samples, self._knots, light)
         irradiance = self._diffuse.irradiance(light)
         cost = light.new_empty(len(samples.position), len(self._kinds), len(self._knots))
         for j, knot in enumerate(self._knots):
             diffuse = diffuse_fraction(samples.n_v, knot.expand_as(samples.n_v))[:, None]
             for metal in self._kinds:
-                factor, rest = view_terms(light.new_tensor(metal), diffuse, irradiance, scaled[:, j], added[:, j])
+                factor, rest = view_terms(light.new_tensor(metal), diffuse, irradiance, f0_term[:, j], fresnel_term[:, j])
                 fit = least_squares_albedo(samples, weight, factor, rest)
                 cost[:, metal, j] = robust_error(samples, fit.clamp(0, 1)[samples.point] * factor + rest, derivative)
         return self._smoothed(self._smoothed(cost))

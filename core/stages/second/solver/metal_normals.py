@@ -95,9 +95,9 @@ def _least_axis(normal: torch.Tensor) -> torch.Tensor:
 def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, knots: torch.Tensor) -> torch.Tensor:
     """Compute the robust error of a view (P, J), on average, of points as metal of roughness `knots` (J,)."""
     derivative = approximate_srgb_derivative(samples.colour)
-    scaled, added = transfer.sums(samples, knots, light)
+    f0_term, fresnel_term = transfer.sums(samples, knots, light)
     errors = []
-    for factor, rest in zip(scaled.unbind(1), added.unbind(1), strict=True):  # y = a S + S' for a metal
+    for factor, rest in zip(f0_term.unbind(1), fresnel_term.unbind(1), strict=True):  # y = a S + S' for a metal
         albedo = least_squares_albedo(samples, derivative**2, factor, rest).clamp(0, 1)
         errors.append(robust_error(samples, albedo[samples.point] * factor + rest, derivative))
     return torch.stack(errors, 1) / samples.lengths[:, None]

@@ -81,7 +81,7 @@ class RadianceTransfer:
             roughness: (P,) of the points.
 
         Returns:
-            The part that F0 scales and the part that Fresnel adds, (K, T) each, and both parts of the indirect light, (K, 3) each.
+            The lobe is F0 S + S': S and S' as rows of the light, (K, T) each, and S and S' of the indirect light, (K, 3) each.
         """
         texels = self.texels.count
         if self.rotations is None:
@@ -103,12 +103,12 @@ class RadianceTransfer:
             light: (T, 3) linear radiance.
 
         Returns:
-            The part that F0 scales and the part that Fresnel adds, (K, J, 3) each, with indirect light.
+            The lobe is F0 S + S': S and S', (K, J, 3) each, with indirect light.
         """
         if self.rotations is None:
             point, view, normal, alphas, radiance = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness), light)
-            scaled, added = lobe_sums(point, view, normal, alphas, self.fixed, self.within, radiance)
-            return torch.as_tensor(scaled), torch.as_tensor(added)
+            f0_term, fresnel_term = lobe_sums(point, view, normal, alphas, self.fixed, self.within, radiance)
+            return torch.as_tensor(f0_term), torch.as_tensor(fresnel_term)
         out = samples.colour.new_empty(2, len(samples.point), len(roughness), 3)
         for one in self._views(samples):
             point, view, normal, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)

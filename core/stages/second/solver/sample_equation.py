@@ -12,7 +12,7 @@ OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved
 
 
 def view_terms(
-    metallic: torch.Tensor, diffuse: torch.Tensor, irradiance: torch.Tensor, scaled: torch.Tensor, added: torch.Tensor
+    metallic: torch.Tensor, diffuse: torch.Tensor, irradiance: torch.Tensor, f0_term: torch.Tensor, fresnel_term: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Evaluate c and d of y = a c + d.
 
@@ -20,13 +20,13 @@ def view_terms(
         metallic: m, (K, 1) or scalar.
         diffuse: 1 - E_s, see `diffuse_fraction`, (K, 1) or scalar.
         irradiance: E, irradiance / pi, (K, 3).
-        scaled: S, the part of the specular lobe that F0 scales, (K, 3).
-        added: S', the part that Fresnel adds, (K, 3).
+        f0_term: S, the scale of the specular lobe in the split-sum form F0 S + S' (Karis 2013), (K, 3).
+        fresnel_term: S', its bias: what Fresnel adds at grazing angles, (K, 3).
 
     Returns:
         c and d, (K, 3) each.
     """
-    return (1 - metallic) * diffuse * irradiance + metallic * scaled, DIELECTRIC_F0 * (1 - metallic) * scaled + added
+    return (1 - metallic) * diffuse * irradiance + metallic * f0_term, DIELECTRIC_F0 * (1 - metallic) * f0_term + fresnel_term
 
 
 def approximate_srgb_derivative(colour: torch.Tensor) -> torch.Tensor:

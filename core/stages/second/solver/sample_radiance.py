@@ -18,7 +18,7 @@ class SampleRadiance:
     Attributes:
         diffuse_share: (1 - m)(1 - E_s), (K, 1).
         metal: m, (K, 1).
-        scaled: S as rows of the light, (K, T).
+        f0_term: S, the scale of F0 in the split-sum form F0 S + S', as rows of the light, (K, T).
         rest: d as rows of the light, (K, T).
     """
 
@@ -43,13 +43,14 @@ class SampleRadiance:
         self.metal = metallic[samples.point][:, None]
         self.diffuse_share = (1 - self.metal) * diffuse_fraction(samples.n_v, roughness[samples.point])[:, None]
         dielectric = DIELECTRIC_F0 * (1 - self.metal)
-        self.scaled, added, self._scaled_own, added_own = transfer.rows(samples, roughness)
-        self.rest, self._rest_own = added.addcmul_(dielectric, self.scaled), added_own.addcmul_(dielectric, self._scaled_own)
+        self.f0_term, fresnel_term, self._f0_indirect, fresnel_indirect = transfer.rows(samples, roughness)
+        self.rest = fresnel_term.addcmul_(dielectric, self.f0_term)
+        self._rest_indirect = fresnel_indirect.addcmul_(dielectric, self._f0_indirect)
 
     def terms(self, light: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Evaluate c and d, (K, 3) each, under a light (T, 3)."""
-        specular = self.scaled @ light + self._scaled_own
-        return self.diffuse_share * self._diffuse.irradiance(light) + self.metal * specular, self.rest @ light + self._rest_own
+        specular = self.f0_term @ light + self._f0_indirect
+        return self.diffuse_share * self._diffuse.irradiance(light) + self.metal * specular, self.rest @ light + self._rest_indirect
 
     def gradient(self, albedo: torch.Tensor, residual: torch.Tensor) -> torch.Tensor:
         """Return the gradient (T, 3) of half the mean squared error in the light.
@@ -61,7 +62,7 @@ class SampleRadiance:
         by_factor = residual * albedo[self._samples.point]
         gradient = (residual.T @ self.rest).T + self._diffuse.transposed(self.diffuse_share * by_factor)
         if bool(self.metal.any()):
-            gradient += ((self.metal * by_factor).T @ self.scaled).T
+            gradient += ((self.metal * by_factor).T @ self.f0_term).T
         return gradient / len(residual)
 
     def hessian(self, albedo: torch.Tensor, weight: torch.Tensor, factor: torch.Tensor, curvature: torch.Tensor) -> list[torch.Tensor]:
@@ -82,13 +83,13 @@ class SampleRadiance:
         """Return the Hessian (T, T) of one channel: a Schur complement. `rows` (K, T) is overwritten."""
         point, arrays = self._samples.point, self._transfer.arrays
         by_point = albedo[point]
-        diffuse, specular, scaled = by_point * self.diffuse_share[:, 0], by_point * self.metal[:, 0], self.scaled
+        diffuse, specular, rows_of_factor = by_point * self.diffuse_share[:, 0], by_point * self.metal[:, 0], self.f0_term
         if self._transfer.rotations is not None:  # the irradiance is that of the sample, not of its point
-            scaled = (diffuse[:, None] * self._diffuse.rows).addcmul_(specular[:, None], scaled)
+            rows_of_factor = (diffuse[:, None] * self._diffuse.rows).addcmul_(specular[:, None], rows_of_factor)
             diffuse, specular = torch.zeros_like(diffuse), torch.ones_like(specular)
         start = torch.nn.functional.pad(self._samples.lengths.cumsum(0), (1, 0))
         views = (weight.sqrt(), weight * factor / curvature.sqrt()[point], diffuse, specular)
         begin, root_weight, coupling_weight, *factors = arrays(start, *(values.contiguous() for values in views))
-        *transport, out = arrays(self._transfer.irradiance, scaled, self.rest, rows)
+        *transport, out = arrays(self._transfer.irradiance, rows_of_factor, self.rest, rows)
         coupling = jacobian(begin, root_weight, coupling_weight, (factors[0], factors[1]), (transport[0], transport[1], transport[2]), out)
         return (gram(rows) - gram(torch.as_tensor(coupling))) / len(weight)

@@ -12,7 +12,7 @@ from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.shading.environment_lookup import rotate
-from irgspp.core.stages.second.metal import METAL
+from irgspp.core.stages.second.metal import METALLIC_THRESHOLD
 from irgspp.core.stages.second.radiance_refit import refit_radiance
 from irgspp.core.stages.second.refinement import refinement as module
 from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels
@@ -95,7 +95,7 @@ def test_further_pixels_show_the_metal_parts_of_an_object(start, photographs):
         trial, drawn = refinement(reconstruction, photographs), []
         shade = trial._shade
         trial._shade = lambda pixels, *rest, shade=shade, drawn=drawn: drawn.append(pixels) or shade(pixels, *rest)
-        metal = trial._materials(torch.arange(trial.pool.count))[3] > METAL
+        metal = trial._materials(torch.arange(trial.pool.count))[3] > METALLIC_THRESHOLD
         trial.step()
         shares.append((len(drawn[0]), float(metal[drawn[0]].float().mean()), float(metal.float().mean())))
     assert [count for count, _, _ in shares] == [64, 64 + round(64 * METAL_PIXELS), 64]

@@ -197,11 +197,11 @@ def lit(splat_sphere):
     albedo = 0.1 + 0.8 * torch.rand(50, 3, generator=random)
     roughness, metallic = 0.2 + 0.8 * torch.rand(50, generator=random), (torch.arange(50) % 3 == 0).float()
     seen = MultiViewSamples(position, position, point, view, torch.zeros(250, 3), torch.zeros(250, 3, dtype=torch.bool))
-    scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(seen, roughness)
     metal, a = metallic[point, None], albedo[point]
     share = diffuse_fraction((position[point] * view).sum(1).clamp_min(1e-3), roughness[point])[:, None]
     body = (1 - metal) * a * share * (transfer.irradiance @ light + transfer.indirect)[point]
-    colour = body + base_reflectance(a, metal) * (scaled @ light + rest_scaled) + added @ light + rest_added
+    colour = body + base_reflectance(a, metal) * (f0_term @ light + f0_indirect) + fresnel_term @ light + fresnel_indirect
     return replace(seen, colour=colour), transfer, light, roughness, metallic, albedo
 
 

@@ -65,8 +65,8 @@ def test_normals_are_found_under_a_light_that_turns(brass):
     rows = (torch.stack([angle.cos(), -angle.sin(), zero]), torch.stack([angle.sin(), angle.cos(), zero]), torch.stack([zero, zero, one]))
     transfer = replace(transfer, rotations=torch.stack(rows).permute(2, 0, 1).contiguous())
     seen = replace(seen, image=torch.arange(len(seen.point)) % 8)
-    scaled, added, scaled_own, added_own = transfer.rows(seen, torch.full((len(wrong),), 0.25))
-    colour = torch.tensor([0.9, 0.7, 0.4]) * (scaled @ light + scaled_own) + added @ light + added_own
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(seen, torch.full((len(wrong),), 0.25))
+    colour = torch.tensor([0.9, 0.7, 0.4]) * (f0_term @ light + f0_indirect) + fresnel_term @ light + fresnel_indirect
     found, _ = reflected_normals(replace(seen, colour=colour, normal=wrong), transfer, light, wrong)
     assert angles(found, seen.normal).mean() < 0.6 * angles(wrong, seen.normal).mean()
 

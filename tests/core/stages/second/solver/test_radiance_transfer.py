@@ -87,9 +87,9 @@ def test_views_of_points_agree_with_monte_carlo(tracer):
     transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 16, 0, True)
     black = torch.zeros(3, 3)
     seen = MultiViewSamples(position, normal, torch.arange(3), view, black, black.bool())
-    scaled, added, rest_scaled, rest_added = transfer.rows(seen, roughness)
+    f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(seen, roughness)
     f0 = 0.04 * (1 - metallic[:, None]) + metallic[:, None] * albedo
-    specular = f0 * (scaled @ light + rest_scaled) + added @ light + rest_added
+    specular = f0 * (f0_term @ light + f0_indirect) + fresnel_term @ light + fresnel_indirect
     diffuse = (1 - metallic[:, None]) * albedo * (transfer.irradiance @ light + transfer.indirect)
     expected = monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, light)
     np.testing.assert_allclose(diffuse, expected[0], rtol=0.01, atol=1e-6)
