@@ -37,9 +37,9 @@ SURFEL_GRADIENTS = 13  # leading columns of a record that have a gradient; in a 
 # --- specular lobe
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of what is no metal
 SHORTEST2 = 1e-7  # lower bound of |view + light direction|^2
-# A traced direction stands for its stratum, a part of a texel of the light. The lobe is averaged over WITHIN directions of the stratum
+# A traced direction stands for its stratum, a part of a texel of the light. The lobe is averaged over PER_STRATUM directions of the stratum
 # where sin^2 of normal and half vector + alpha^2 is below NARROW times the solid angle; elsewhere it hardly varies from end to end.
-WITHIN, NARROW = 16, 8.0
+PER_STRATUM, NARROW = 16, 8.0
 
 # --- SSIM: 11 x 11 Gaussian window of sigma 1.5
 SSIM_RADIUS = 5

@@ -9,8 +9,8 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
-from irgspp.core.kernels.constants import WITHIN
-from irgspp.core.kernels.lobes import lobe_rows, lobe_sums
+from irgspp.core.kernels.constants import PER_STRATUM
+from irgspp.core.kernels.lobes import TracedDirections, lobe_rows, lobe_sums
 from irgspp.core.shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha, specular_lobe
 from irgspp.core.shading.environment_lookup import solid_angles, texel_directions
 from irgspp.core.shading.light_distribution import LightDistribution
@@ -274,10 +274,10 @@ def lobes(measured: Measured) -> None:
     towards = texel_directions(height, 2 * height).reshape(-1, 3)
     angle = solid_angles(height, 2 * height)[:, None].repeat(1, 2 * height).flatten()
     seen = np.ones((len(view), len(towards)), np.float32)
-    fixed = (towards.T.contiguous().numpy(), angle.numpy(), seen, np.zeros((len(view), 3, len(towards)), np.float32))
-    within = np.repeat(towards.numpy()[:, :, None], WITHIN, 2)  # a mean over them is the lobe in the direction
+    traced = TracedDirections(towards.T.contiguous().numpy(), angle.numpy(), seen, np.zeros((len(view), 3, len(towards)), np.float32))
+    strata = np.repeat(towards.numpy()[:, :, None], PER_STRATUM, 2)  # a mean over them is the lobe in the direction
     alpha = ggx_alpha(roughness)
-    f0_term, fresnel_term, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), fixed, within, len(towards))
+    f0_term, fresnel_term, *_ = lobe_rows(place, view.numpy(), normal.numpy(), alpha.numpy(), traced, strata, len(towards))
     bent = view.double() + (1e-3 - (view * normal).sum(1, keepdim=True).double()).clamp_min(0) * normal.double()
     directions = towards.double().expand(len(view), -1, 3)
     bent = torch.nn.functional.normalize(bent, dim=1)
@@ -291,6 +291,6 @@ def lobes(measured: Measured) -> None:
     measured.at_most("error", float((rows - exact)[:, front].abs().max() / exact[:, front].max()), 1e-3)
     light = some_light(height).reshape(-1, 3)
     widths = np.unique(alpha.numpy())
-    sums = np.stack(lobe_sums(place, view.numpy(), normal.numpy(), widths, fixed, within, light.numpy()))
+    sums = np.stack(lobe_sums(place, view.numpy(), normal.numpy(), widths, traced, strata, light.numpy()))
     mine = sums[:, place, np.searchsorted(widths, alpha.numpy())]
     measured.at_most("sums against rows", relative(torch.from_numpy(mine), rows @ light), 1e-4)

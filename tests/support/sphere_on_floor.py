@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 import torch
+from irgspp.core.kernels.lobes import TracedDirections
 from irgspp.core.shading.environment_lookup import texel_directions
 from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.stages.second.solver.light_material_solver import LightMaterialSolver
@@ -56,7 +57,11 @@ def transport(position, normal, texels=LightTexels.uniform(HEIGHT), side=2):  # 
     weight = cosine * angle / math.pi
     irradiance = torch.from_numpy((weight * visible).reshape(len(position), side**2, texels.count).sum(1))
     return RadianceTransfer(
-        texels, (direction, angle, visible, other), irradiance, torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)), True
+        texels,
+        TracedDirections(direction, angle, visible, other),
+        irradiance,
+        torch.from_numpy(np.einsum("pd,pcd->pc", weight, other)),
+        True,
     )
 
 

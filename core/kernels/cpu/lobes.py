@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ..constants import NARROW, SHORTEST2
-from ..constants import WITHIN as _WITHIN
+from ..constants import PER_STRATUM as _PER_STRATUM
 from .jit import helper, kernel
 from .reductions import total
 from .simd import bits, load, maximum, select, splat, sqrt, store
@@ -19,7 +19,7 @@ from .simd import bits, load, maximum, select, splat, sqrt, store
 _HALF_PI = np.float32(0.5 / math.pi)
 _ZERO, _ONE, _HALF = np.float32(0.0), np.float32(1.0), np.float32(0.5)
 _SHORTEST2, _NARROW = np.float32(SHORTEST2), np.float32(NARROW)
-_SHARE = np.float32(1 / _WITHIN)
+_SHARE = np.float32(1 / _PER_STRATUM)
 
 
 @helper
@@ -47,11 +47,11 @@ def _cosines(direction, count, at, nx, ny, nz):
 
 
 @helper
-def _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, a2):
+def _mean_lobe(strata, at, vx, vy, vz, nx, ny, nz, n_v, a2):
     """Return the means over the directions within direction `at` of D V n.l (1 - p) and D V n.l p, p = (1 - v.h)^5."""
     value, bias = splat(_ZERO), splat(_ZERO)
-    for i in range(3 * _WITHIN * at, 3 * _WITHIN * at + _WITHIN, 8):
-        dx, dy, dz = load(within, i), load(within, i + _WITHIN), load(within, i + 2 * _WITHIN)
+    for i in range(3 * _PER_STRATUM * at, 3 * _PER_STRATUM * at + _PER_STRATUM, 8):
+        dx, dy, dz = load(strata, i), load(strata, i + _PER_STRATUM), load(strata, i + 2 * _PER_STRATUM)
         n_l = maximum(dx * nx + dy * ny + dz * nz, splat(_ZERO))
         one, power, _ = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2)
         value, bias = value + one, bias + one * power
@@ -70,7 +70,7 @@ def _listed(narrow, count, at, lanes, factor, offset):
 
 @kernel
 def lobe_rows_range(
-    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, within, f0_term, fresnel_term,
+    begin, end, texels, subs, point, view, normal, alpha, direction, solid_angle, visible, indirect, strata, f0_term, fresnel_term,
     f0_indirect, fresnel_indirect,
 ):  # fmt: skip
     """Compute for views begin..end both parts of the lobe per texel, (K, texels) flat, and applied to the indirect light, (K, 3)."""
@@ -110,7 +110,7 @@ def lobe_rows_range(
         fresnel_indirect[k, 0], fresnel_indirect[k, 1], fresnel_indirect[k, 2] = total(s0), total(s1), total(s2)
         for i in range(listed):
             at = narrow[i]
-            mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, a2)
+            mean, mean_bias = _mean_lobe(strata, at, vx, vy, vz, nx, ny, nz, n_v, a2)
             mean, mean_bias = mean * solid_angle[at], mean_bias * solid_angle[at]
             f0_term[k * texels + at % texels] += mean * visible[p * count + at]
             fresnel_term[k * texels + at % texels] += mean_bias * visible[p * count + at]
@@ -122,7 +122,7 @@ def lobe_rows_range(
 
 @kernel
 def lobe_sums_range(
-    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, within, light, f0_term, fresnel_term
+    begin, end, texels, subs, point, view, normal, alphas, direction, solid_angle, visible, indirect, strata, light, f0_term, fresnel_term
 ):  # fmt: skip
     """Integrate for views begin..end both parts of the lobe over all light, (K, J, 3).
 
@@ -170,7 +170,7 @@ def lobe_sums_range(
                 fresnel_term[k, j, channel] = total(load(sums, j * 48 + 24 + channel * 8))
         for i in range(listed):
             at, j = narrow[i] // widths, narrow[i] % widths
-            mean, mean_bias = _mean_lobe(within, at, vx, vy, vz, nx, ny, nz, n_v, alphas[j] * alphas[j])
+            mean, mean_bias = _mean_lobe(strata, at, vx, vy, vz, nx, ny, nz, n_v, alphas[j] * alphas[j])
             for channel in range(3):
                 incoming = light[channel * texels + at % texels] * visible[p * count + at]
                 incoming = (incoming + indirect[(p * 3 + channel) * count + at]) * solid_angle[at]

@@ -68,13 +68,13 @@ def point_irradiance(solver: LightMaterialSolver) -> tuple[np.ndarray, torch.Ten
         that shadows leave and indirect light adds, 0..1.
     """
     transfer, light, normal = solver.transfer, solver.light, solver.samples.normal
-    direction, angle, visible, incoming = (torch.as_tensor(array) for array in transfer.fixed)
-    basis = sh_basis(direction, 2) * angle * direction.new_tensor(LAMBERT)[:, None]
+    direction, solid_angle, visibility, indirect = (torch.as_tensor(array) for array in transfer.traced)
+    basis = sh_basis(direction, 2) * solid_angle * direction.new_tensor(LAMBERT)[:, None]
     distant = light.repeat(direction.shape[1] // len(light), 1)
-    harmonics = torch.stack([(visible * distant[:, c] + incoming[:, c]) @ basis.T for c in range(3)], 2)
+    harmonics = torch.stack([(visibility * distant[:, c] + indirect[:, c]) @ basis.T for c in range(3)], 2)
     exact = transfer.irradiance @ light + transfer.indirect
     own = torch.einsum("kp,pkc->pc", sh_basis(normal.T, 2), harmonics)
-    unoccluded = ((normal @ direction).clamp_min(0) * angle / math.pi) @ distant
+    unoccluded = ((normal @ direction).clamp_min(0) * solid_angle / math.pi) @ distant
     scale = (exact / own.clamp_min(DARKEST)).clamp(0.5, 2)
     openness = (exact.sum(1) / unoccluded.sum(1).clamp_min(1e-9)).clamp(0, 1)
     return (harmonics * scale[:, None]).double().cpu().numpy(), openness

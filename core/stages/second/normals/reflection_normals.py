@@ -99,5 +99,5 @@ def _batches(
     for begin in range(0, len(samples.position), BATCH):
         part = slice(begin, min(begin + BATCH, len(samples.position)))
         own = samples.part(part.start, part.stop)
-        options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
+        options = (solver.transfer.texels, 1, seed, solver.transfer.has_indirect)
         yield part, own, trace_radiance_transfer(own.position, own.normal, tracer, *options)

@@ -66,7 +66,7 @@ def assign_materials(
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = samples.part(begin, min(begin + BATCH, len(albedo)))
-        options = (solver.transfer.texels, 1, seed, solver.transfer.bounces)
+        options = (solver.transfer.texels, 1, seed, solver.transfer.has_indirect)
         transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, *options, rotations=solver.transfer.rotations)
         albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
         step(min(1.0, (begin + BATCH) / len(albedo)))

@@ -14,7 +14,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
-from ....kernels.constants import WITHIN
+from ....kernels.constants import PER_STRATUM
 from ...common.light_map import resized_light
 
 
@@ -75,9 +75,9 @@ class LightTexels:
         angle = (self.solid_angles / side**2).astype(np.float32)
         return np.concatenate(parts, 1).astype(np.float32), np.tile(angle, side**2)
 
-    def within(self, side: int) -> np.ndarray:
-        """Return WITHIN directions evenly spread over each of the strata of `directions`: (D, 3, WITHIN) float32 unit."""
-        fine = math.isqrt(WITHIN)
+    def strata(self, side: int) -> np.ndarray:
+        """Return PER_STRATUM directions evenly spread over each of the strata of `directions`: (D, 3, PER_STRATUM) float32 unit."""
+        fine = math.isqrt(PER_STRATUM)
         parts = []
         for i, j in np.ndindex(side, side):
             places = [((i + (a + 0.5) / fine) / side, (j + (b + 0.5) / fine) / side) for a, b in np.ndindex(fine, fine)]

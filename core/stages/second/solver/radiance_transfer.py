@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 import torch
 
-from ....kernels.lobes import lobe_rows, lobe_sums
+from ....kernels.lobes import TracedDirections, lobe_rows, lobe_sums
 from ....shading.brdf import ggx_alpha
 from ....shading.environment_lookup import from_light_frame, to_light_frame
 from .light_texels import LightTexels
@@ -32,46 +32,44 @@ class RadianceTransfer:
 
     Attributes:
         texels: texels of the light.
-        fixed: directions (3, D), solid angles (D,), visibility (P, D) and indirect radiance (P, 3, D), float32, as `core/kernels/lobes.py`
-            takes them: numpy arrays on the CPU, tensors on a GPU.
+        traced: transport from D traced directions: numpy arrays on the CPU, tensors on a GPU.
         irradiance: (P, T) irradiance / pi per unit radiance of a texel.
         indirect: (P, 3) irradiance / pi of the light that the object reflects onto itself.
-        bounces: False where that light was left out.
+        has_indirect: False where that light was left out.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
 
     texels: LightTexels
-    fixed: tuple[Any, ...]
+    traced: TracedDirections
     irradiance: torch.Tensor
     indirect: torch.Tensor
-    bounces: bool
+    has_indirect: bool
     rotations: torch.Tensor | None = None
 
     @cached_property
-    def within(self) -> Any:
-        """(D, 3, WITHIN) directions within the stratum of each traced one, as an array like those of `fixed`."""
-        subdivisions = self.fixed[0].shape[1] // self.texels.count
-        directions = torch.from_numpy(self.texels.within(math.isqrt(subdivisions))).to(self.irradiance.device)
+    def strata(self) -> Any:
+        """(D, 3, PER_STRATUM) directions in the stratum of each traced one, as an array like those of `traced`."""
+        subdivisions = self.traced.direction.shape[1] // self.texels.count
+        directions = torch.from_numpy(self.texels.strata(math.isqrt(subdivisions))).to(self.irradiance.device)
         return self.arrays(directions)[0]
 
     @cached_property
     def nearest(self) -> torch.Tensor:
         """(V, D) number of the traced direction nearest to each direction of the texels of a view's light."""
         assert self.rotations is not None
-        direction = torch.as_tensor(self.fixed[0]).T
+        direction = torch.as_tensor(self.traced.direction).T
         return torch.stack([(from_light_frame(direction, rotation) @ direction.T).argmax(1) for rotation in self.rotations])
 
     def arrays(self, *tensors: torch.Tensor) -> tuple[Any, ...]:
-        """Convert tensors (...,) to the type of `fixed`: numpy arrays that share memory, or the tensors themselves."""
-        return tensors if isinstance(self.fixed[0], torch.Tensor) else tuple(t.numpy() for t in tensors)
+        """Convert tensors (...,) to the type of `traced`: numpy arrays that share memory, or the tensors themselves."""
+        return tensors if isinstance(self.traced.direction, torch.Tensor) else tuple(t.numpy() for t in tensors)
 
     def subset(self, kept: torch.Tensor) -> RadianceTransfer:
         """Return the transfer to the points `kept` (P,) bool."""
-        direction, angle, visible, incoming = self.fixed
         (rows,) = self.arrays(kept)
-        return replace(
-            self, fixed=(direction, angle, visible[rows], incoming[rows]), irradiance=self.irradiance[kept], indirect=self.indirect[kept]
-        )
+        visibility, indirect_radiance = self.traced.visibility[rows], self.traced.indirect_radiance[rows]
+        traced = self.traced._replace(visibility=visibility, indirect_radiance=indirect_radiance)
+        return replace(self, traced=traced, irradiance=self.irradiance[kept], indirect=self.indirect[kept])
 
     def rows(self, samples: MultiViewSamples, roughness: torch.Tensor) -> tuple[torch.Tensor, ...]:
         """Compute the specular lobe of each sample as weights of the texels, see `lobe_rows`.
@@ -86,11 +84,11 @@ class RadianceTransfer:
         texels = self.texels.count
         if self.rotations is None:
             point, view, normal, alpha = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness))
-            return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.fixed, self.within, texels)))
+            return tuple(map(torch.as_tensor, lobe_rows(point, view, normal, alpha, self.traced, self.strata, texels)))
         out = [samples.colour.new_empty(len(samples.point), size) for size in (texels, texels, 3, 3)]
         for one in self._views(samples):
-            point, view, normal, alpha = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness[one.point]))
-            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.fixed, self.within, texels), strict=True):
+            point, view, normal, alpha = self.arrays(one.row, one.view, one.normal, ggx_alpha(roughness[one.point]))
+            for values, part in zip(out, lobe_rows(point, view, normal, alpha, one.traced, self.strata, texels), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return tuple(out)
 
@@ -107,12 +105,12 @@ class RadianceTransfer:
         """
         if self.rotations is None:
             point, view, normal, alphas, radiance = self.arrays(samples.point, samples.view, samples.normal, ggx_alpha(roughness), light)
-            f0_term, fresnel_term = lobe_sums(point, view, normal, alphas, self.fixed, self.within, radiance)
+            f0_term, fresnel_term = lobe_sums(point, view, normal, alphas, self.traced, self.strata, radiance)
             return torch.as_tensor(f0_term), torch.as_tensor(fresnel_term)
         out = samples.colour.new_empty(2, len(samples.point), len(roughness), 3)
         for one in self._views(samples):
-            point, view, normal, alphas, radiance = self.arrays(one.own, one.view, one.normal, ggx_alpha(roughness), light)
-            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.fixed, self.within, radiance), strict=True):
+            point, view, normal, alphas, radiance = self.arrays(one.row, one.view, one.normal, ggx_alpha(roughness), light)
+            for values, part in zip(out, lobe_sums(point, view, normal, alphas, one.traced, self.strata, radiance), strict=True):
                 values[one.sample] = torch.as_tensor(part)
         return out[0], out[1]
 
@@ -122,16 +120,14 @@ class RadianceTransfer:
             return DiffuseRows(self.irradiance, self.indirect, samples.point)
         rows = samples.colour.new_empty(len(samples.point), self.texels.count)
         indirect = samples.colour.new_empty(len(samples.point), 3)
-        direction, angle = (torch.as_tensor(array) for array in self.fixed[:2])
         for one in self._views(samples):
-            visible, incoming = (torch.as_tensor(array) for array in one.fixed[2:])
-            rows[one.sample], indirect[one.sample] = cosine_weighted(one.normal, direction, angle, visible, incoming, rows.shape[1])
+            traced = TracedDirections(*map(torch.as_tensor, one.traced))
+            rows[one.sample], indirect[one.sample] = cosine_weighted(one.normal, traced, rows.shape[1])
         return DiffuseRows(rows, indirect, torch.arange(len(rows), device=rows.device))
 
     def _views(self, samples: MultiViewSamples) -> Iterator[_LitView]:
         """Yield the samples of one view after another, in the frame of its light."""
         assert self.rotations is not None and samples.image is not None
-        direction, angle, visible, incoming = self.fixed
         for number, rotation in enumerate(self.rotations):
             sample = torch.nonzero(samples.image == number)[:, 0]
             if not len(sample):
@@ -139,9 +135,11 @@ class RadianceTransfer:
             point = samples.point[sample]
             view, normal = (to_light_frame(vector, rotation).contiguous() for vector in (samples.view[sample], samples.normal[point]))
             rows, columns = self.arrays(point, self.nearest[number])
-            fixed = (direction, angle, visible[rows][:, columns], incoming[rows][:, :, columns])
-            own = torch.arange(len(sample), device=sample.device)
-            yield _LitView(sample, point, own, view, normal, (*fixed[:2], *(_contiguous(array) for array in fixed[2:])))
+            visibility = _contiguous(self.traced.visibility[rows][:, columns])
+            indirect_radiance = _contiguous(self.traced.indirect_radiance[rows][:, :, columns])
+            traced = self.traced._replace(visibility=visibility, indirect_radiance=indirect_radiance)
+            row = torch.arange(len(sample), device=sample.device)
+            yield _LitView(sample, point, row, view, normal, traced)
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,18 +172,18 @@ class _LitView:
     Attributes:
         sample: (M,) number of each sample.
         point: (M,) its point.
-        own: (M,) 0..M-1, its row in `fixed`.
+        row: (M,) 0..M-1, its row in `traced`.
         view: (M, 3) unit, towards the camera.
         normal: (M, 3) unit.
-        fixed: as that of `RadianceTransfer`, with M rows.
+        traced: as that of `RadianceTransfer`, with M rows.
     """
 
     sample: torch.Tensor
     point: torch.Tensor
-    own: torch.Tensor
+    row: torch.Tensor
     view: torch.Tensor
     normal: torch.Tensor
-    fixed: tuple[Any, ...]
+    traced: TracedDirections
 
 
 def _contiguous(array: Any) -> Any:
@@ -193,21 +191,17 @@ def _contiguous(array: Any) -> Any:
     return array.contiguous() if isinstance(array, torch.Tensor) else np.ascontiguousarray(array)
 
 
-def cosine_weighted(
-    normal: torch.Tensor, direction: torch.Tensor, angle: torch.Tensor, visible: torch.Tensor, incoming: torch.Tensor, texels: int
-) -> tuple[torch.Tensor, torch.Tensor]:
+def cosine_weighted(normal: torch.Tensor, traced: TracedDirections, texels: int) -> tuple[torch.Tensor, torch.Tensor]:
     """Integrate the light of traced directions by the cosine.
 
     Args:
         normal: (P, 3) unit.
-        direction: (3, D) unit.
-        angle: (D,) solid angles.
-        visible: (P, D) visibility.
-        incoming: (P, 3, D) indirect radiance.
+        traced: tensors of the transport to the P points.
         texels: number T of texels.
 
     Returns:
         Irradiance / pi per unit radiance of each texel, (P, T), and that of the indirect light, (P, 3).
     """
-    weight = (normal @ direction).clamp_min(0) * angle / math.pi
-    return (weight * visible).view(len(normal), -1, texels).sum(1), torch.einsum("pd,pcd->pc", weight, incoming)
+    weight = (normal @ traced.direction).clamp_min(0) * traced.solid_angle / math.pi
+    irradiance = (weight * traced.visibility).view(len(normal), -1, texels).sum(1)
+    return irradiance, torch.einsum("pd,pcd->pc", weight, traced.indirect_radiance)

@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import numpy as np
 import torch
 
+from ....kernels.lobes import TracedDirections
 from ....machine.backend import by_warp
 from ....rendering.secondary_rays import SecondaryTracer
 from .light_texels import LightTexels
@@ -55,8 +56,8 @@ def trace_radiance_transfer(
         step: called with the number of points done; may raise.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
-    fixed = _traced(position, normal, texels.directions(side, seed), tracer, indirect, step)
-    return _transfer(normal, texels, fixed, indirect, rotations)
+    traced = _traced(position, normal, texels.directions(side, seed), tracer, indirect, step)
+    return _transfer(normal, texels, traced, indirect, rotations)
 
 
 def split_brightest(
@@ -79,16 +80,16 @@ def split_brightest(
     if not chosen.any():
         return transfer, np.arange(transfer.texels.count)
     texels, new, old = transfer.texels.split(chosen)
-    before = [torch.as_tensor(array) for array in transfer.fixed]
-    subdivisions = before[0].shape[-1] // transfer.texels.count
+    before = TracedDirections(*map(torch.as_tensor, transfer.traced))
+    subdivisions = before.direction.shape[-1] // transfer.texels.count
     directions = new.directions(math.isqrt(subdivisions), seed)
-    added = _traced(samples.position, samples.normal, directions, tracer, transfer.bounces, lambda done: None)
+    of_new = _traced(samples.position, samples.normal, directions, tracer, transfer.has_indirect, lambda done: None)
     kept = torch.from_numpy(np.flatnonzero(~chosen)).to(samples.normal.device)
-    fixed = []
-    for whole, part in zip(before, added, strict=True):
+    joined = []
+    for whole, part in zip(before, of_new, strict=True):
         unsplit = whole.unflatten(-1, (subdivisions, -1)).index_select(-1, kept)
-        fixed.append(torch.cat([unsplit, part.unflatten(-1, (subdivisions, -1))], -1).flatten(-2))
-    return _transfer(samples.normal, texels, tuple(fixed), transfer.bounces, None), old
+        joined.append(torch.cat([unsplit, part.unflatten(-1, (subdivisions, -1))], -1).flatten(-2))
+    return _transfer(samples.normal, texels, TracedDirections(*joined), transfer.has_indirect, None), old
 
 
 def _traced(
@@ -98,21 +99,21 @@ def _traced(
     tracer: SecondaryTracer,
     indirect: bool,
     step: Callable[[int], object],
-) -> tuple[torch.Tensor, ...]:
-    """Return the attribute `fixed` of a transfer as tensors; `directions` are those of `LightTexels.directions`."""
-    direction, angle = (torch.from_numpy(a).to(position.device) for a in directions)
+) -> TracedDirections:
+    """Return the attribute `traced` of a transfer as tensors; `directions` are those of `LightTexels.directions`."""
+    direction, solid_angle = (torch.from_numpy(a).to(position.device) for a in directions)
     cosine = (normal @ direction).clamp_min(0)
-    visible, incoming = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
-    return direction, angle, visible, incoming if indirect else torch.zeros_like(incoming)
+    visibility, radiance = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
+    return TracedDirections(direction, solid_angle, visibility, radiance if indirect else torch.zeros_like(radiance))
 
 
 def _transfer(
-    normal: torch.Tensor, texels: LightTexels, fixed: tuple[torch.Tensor, ...], indirect: bool, rotations: torch.Tensor | None
+    normal: torch.Tensor, texels: LightTexels, traced: TracedDirections, indirect: bool, rotations: torch.Tensor | None
 ) -> RadianceTransfer:
     """Return the transfer whose rays were traced."""
-    direction, angle, visible, incoming = fixed
-    rows, own = cosine_weighted(normal, direction, angle, visible, incoming, texels.count)
-    return RadianceTransfer(texels, fixed if by_warp(normal) else tuple(t.numpy() for t in fixed), rows, own, indirect, rotations)
+    irradiance, indirect_irradiance = cosine_weighted(normal, traced, texels.count)
+    arrays = traced if by_warp(normal) else TracedDirections(*(tensor.numpy() for tensor in traced))
+    return RadianceTransfer(texels, arrays, irradiance, indirect_irradiance, indirect, rotations)
 
 
 def _trace_directions(

@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.kernels.lobes import TracedDirections
 from irgspp.core.shading.environment_lookup import from_light_frame, to_light_frame
 from irgspp.core.stages.second.solver.gaussian_materials import fitted_albedo
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
@@ -31,7 +32,7 @@ def turns():
 def still(position, normal, rotation):
     """Return the radiance transfer of points under one light, in its frame, with visibility in closed form."""
     known = transport(position, normal)
-    direction, angle = known.fixed[:2]
+    direction, angle = known.traced[:2]
     local = to_light_frame(torch.from_numpy(normal), rotation).numpy()
     cosine = np.maximum(local @ direction, 0)
     world = from_light_frame(torch.from_numpy(direction.T.copy()), rotation).T.numpy()
@@ -40,7 +41,7 @@ def still(position, normal, rotation):
     weight = (cosine * angle / math.pi).astype(np.float32)
     rows = torch.from_numpy((weight * free).reshape(len(position), 4, TEXELS).sum(1))
     indirect = torch.from_numpy(np.einsum("pd,pcd->pc", weight, other).astype(np.float32))
-    return RadianceTransfer(known.texels, (direction, angle, free.astype(np.float32), other), rows, indirect, True)
+    return RadianceTransfer(known.texels, TracedDirections(direction, angle, free.astype(np.float32), other), rows, indirect, True)
 
 
 @pytest.fixture(scope="module")

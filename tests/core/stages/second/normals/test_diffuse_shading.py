@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.kernels.lobes import TracedDirections
 from irgspp.core.scene.spherical_harmonics import sh_basis
 from irgspp.core.stages.second.normals.diffuse_shading import mean_diffuse_radiance, point_irradiance
 from irgspp.core.stages.second.solver.light_texels import LightTexels
@@ -24,7 +25,7 @@ def solver(normal: torch.Tensor, light: torch.Tensor, shadow: float) -> SimpleNa
     weight = (normal @ direction).clamp_min(0) * angle / math.pi * visible
     rows = weight.view(len(normal), 4, len(light)).sum(1)
     incoming = torch.zeros(len(normal), 3, len(angle))
-    transfer = RadianceTransfer(texels, (direction, angle, visible, incoming), rows, torch.zeros(len(normal), 3), False)
+    transfer = RadianceTransfer(texels, TracedDirections(direction, angle, visible, incoming), rows, torch.zeros(len(normal), 3), False)
     return SimpleNamespace(
         transfer=transfer, light=light, light_map=lambda height: texels.map(light, height), samples=SimpleNamespace(normal=normal)
     )

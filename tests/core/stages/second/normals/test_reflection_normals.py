@@ -34,7 +34,7 @@ def ball(monkeypatch):
         metallic=(points[:, 2] > 0.4).float(),
         roughness=torch.full((len(points),), 0.25),
         light=soft_light(),
-        transfer=SimpleNamespace(texels=None, bounces=True),
+        transfer=SimpleNamespace(texels=None, has_indirect=True),
     )
     return true, Surface(true, wrong, np.asarray(mesh.faces), 0.1), solver
 

@@ -88,7 +88,7 @@ def found(splat_sphere):
     """Results that the light-material solver would have at points of the sphere."""
     position = splat_sphere(400).position.T.contiguous()
     metallic = materials(position.double().numpy())[1].float()
-    about = SimpleNamespace(texels=LightTexels.uniform(HEIGHT), bounces=True, rotations=None)
+    about = SimpleNamespace(texels=LightTexels.uniform(HEIGHT), has_indirect=True, rotations=None)
     light = torch.full((2 * HEIGHT**2, 3), SKY)
     seen = SimpleNamespace(position=position)
     return SimpleNamespace(samples=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)

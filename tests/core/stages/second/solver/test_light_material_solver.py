@@ -10,6 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.kernels.lobes import TracedDirections
 from irgspp.core.stages.second.solver import light_material_solver as module
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.light_texels import LightTexels
@@ -77,11 +78,15 @@ def test_photographs_are_explained(scene, found):
 def test_without_knowing_what_is_in_the_way_albedo_is_wrong(scene, found):
     """With full visibility the albedo is wrong: the shadows are what determines it."""
     transfer, seen, truth = scene
-    direction, angle, _, other = transfer.fixed
+    direction, angle, _, other = transfer.traced
     everything = (seen.normal.numpy() @ direction > 0).astype(np.float32)
     irradiance = (np.maximum(seen.normal.numpy() @ direction, 0) * angle / math.pi).reshape(-1, 4, TEXELS).sum(1)
     blind = RadianceTransfer(
-        transfer.texels, (direction, angle, everything, 0 * other), torch.from_numpy(irradiance), 0 * transfer.indirect, False
+        transfer.texels,
+        TracedDirections(direction, angle, everything, 0 * other),
+        torch.from_numpy(irradiance),
+        0 * transfer.indirect,
+        False,
     )
     errors = [(rescaled(s, truth)[1] / truth[1] - 1).abs().mean() for s in (found, solved(seen, blind))]
     assert errors[1] > 4 * errors[0]

@@ -6,7 +6,7 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.kernels.constants import WITHIN
+from irgspp.core.kernels.constants import PER_STRATUM
 from irgspp.core.shading.environment_lookup import direction_to_uv
 from irgspp.core.stages.common.light_map import resized_light
 from irgspp.core.stages.second.solver.light_texels import LightTexels
@@ -130,15 +130,15 @@ def test_parts_of_a_texel_have_one_colour_and_keep_their_power(split):
 def test_directions_within_a_stratum_surround_it(split, side):
     """They lie in the texel of the stratum, spread over it, and their mean is about its middle: that of many random directions in it."""
     _, angle = split.directions(side, 0)
-    within = split.within(side)
-    assert within.shape == (len(angle), 3, WITHIN) and within.dtype == np.float32
-    np.testing.assert_allclose(np.linalg.norm(within, axis=1), 1, atol=1e-6)
-    u, v = direction_to_uv(torch.from_numpy(within).double().transpose(1, 2).reshape(-1, 3))
+    inner = split.strata(side)
+    assert inner.shape == (len(angle), 3, PER_STRATUM) and inner.dtype == np.float32
+    np.testing.assert_allclose(np.linalg.norm(inner, axis=1), 1, atol=1e-6)
+    u, v = direction_to_uv(torch.from_numpy(inner).double().transpose(1, 2).reshape(-1, 3))
     rows = split.height << np.tile(split.level, side**2)[:, None]
-    places = [(size * part.reshape(-1, WITHIN).numpy()).astype(int) for size, part in ((rows, v), (2 * rows, u))]
+    places = [(size * part.reshape(-1, PER_STRATUM).numpy()).astype(int) for size, part in ((rows, v), (2 * rows, u))]
     for place, of_texel in zip(places, (split.row, split.column), strict=True):
         assert (place == np.tile(of_texel, side**2)[:, None]).all()
     many = np.mean([split.directions(side, seed)[0] for seed in range(400)], 0)
     size = np.sqrt(angle)
-    assert (np.linalg.norm(within.mean(2).T - many, axis=0) < 0.08 * size).all()
-    assert (within.std(2).max(1) > 0.15 * size).all()
+    assert (np.linalg.norm(inner.mean(2).T - many, axis=0) < 0.08 * size).all()
+    assert (inner.std(2).max(1) > 0.15 * size).all()

@@ -39,7 +39,7 @@ def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
     transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
     np.testing.assert_allclose(transfer.irradiance.sum(1), 1, atol=5e-3)
     assert (transfer.indirect == 0).all()
-    assert (transfer.fixed[2] == (normal.numpy() @ transfer.fixed[0] > 0)).all()
+    assert (transfer.traced.visibility == (normal.numpy() @ transfer.traced.direction > 0)).all()
 
 
 def test_each_texel_brings_what_its_cosine_lets_it(tracer):
@@ -63,9 +63,9 @@ def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer,
 
 def test_own_light_can_be_left_out_and_shadows_stay(tracer):
     position, normal = points((0, 0, -1.5, 0, 0, 1))
-    both = [trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, bounces) for bounces in (True, False)]
+    both = [trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, indirect) for indirect in (True, False)]
     assert torch.equal(both[0].irradiance, both[1].irradiance)
-    assert (both[0].indirect > 0.01).all() and (both[1].indirect == 0).all() and (both[1].fixed[3] == 0).all()
+    assert (both[0].indirect > 0.01).all() and (both[1].indirect == 0).all() and (both[1].traced.indirect_radiance == 0).all()
 
 
 def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
@@ -74,7 +74,7 @@ def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
     monkeypatch.setattr(transfer_tracing, "RAYS", 128)
     parts = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), 2, 3, True)
     assert torch.equal(whole.irradiance, parts.irradiance) and torch.equal(whole.indirect, parts.indirect)
-    assert all(np.array_equal(a, b) for a, b in zip(whole.fixed, parts.fixed, strict=True))
+    assert all(np.array_equal(a, b) for a, b in zip(whole.traced, parts.traced, strict=True))
 
 
 def test_views_of_points_agree_with_monte_carlo(tracer):

@@ -37,7 +37,7 @@ def test_split_texels_bring_the_same_light_and_others_keep_their_rays(tracer, sa
     after, old = split_brightest(before, light, samples, tracer, 0, 4 * HEIGHT)
     kept = np.bincount(old, minlength=before.texels.count) == 1
     assert (~kept).sum() == SPLIT and after.texels.count == before.texels.count + 3 * SPLIT
-    first, second = (torch.as_tensor(one.fixed[2]).unflatten(1, (16, -1)) for one in (before, after))
+    first, second = (torch.as_tensor(one.traced.visibility).unflatten(1, (16, -1)) for one in (before, after))
     assert torch.equal(first[..., kept], second[..., : kept.sum()])
     assert torch.equal(before.irradiance[:, kept], after.irradiance[:, : kept.sum()])
     np.testing.assert_allclose(after.irradiance @ light[old], before.irradiance @ light, rtol=0.03, atol=0.01)
