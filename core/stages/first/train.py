@@ -82,8 +82,17 @@ def train(
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
     hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
-    fit = (dataset, settings.first, start.gaussians, material_class, settings.seed, hold_back)
-    trainer = Trainer(*fit, crop=crop, resident=resident, anchors=start.anchors)
+    trainer = Trainer(
+        dataset,
+        settings.first,
+        start.gaussians,
+        material_class,
+        settings.seed,
+        hold_back=hold_back,
+        crop=crop,
+        resident=resident,
+        anchors=start.anchors,
+    )
     if state is not None:
         trainer.restore(state)
     elif deadline is not None:

@@ -40,7 +40,7 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
     light_height = min(LIGHT_HEIGHT, brief.light_height)
     brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=0.0)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
-    return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction, crop)
+    return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop)
 
 
 def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:

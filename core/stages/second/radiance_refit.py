@@ -28,7 +28,7 @@ def refit_radiance(
     views: Sequence[View],
     iterations: int,
     seed: int,
-    step: Callable[[int], object] = lambda done: None,
+    on_step: Callable[[int], object] = lambda done: None,
     subpixels: int = 1,
 ) -> Reconstruction:
     """Fit the radiance to the images with geometry fixed; materials and light for relighting are not changed.
@@ -38,7 +38,7 @@ def refit_radiance(
         views: training images.
         iterations: steps, one view each.
         seed: seed of the order of views.
-        step: called with the number of steps done; it may raise, and ends the fit early by returning True.
+        on_step: called with the number of steps done; it may raise, and ends the fit early by returning True.
         subpixels: rays along each side of a pixel.
 
     Returns:
@@ -61,7 +61,7 @@ def refit_radiance(
             require_finite({"the radiance's loss": loss}, f"at iteration {done + 1}")
         loss.backward()
         optimizer.step(done / iterations)
-        if step(done + 1):
+        if on_step(done + 1):
             break
     optimizer.check_finite()
     fitted = optimizer.gaussians

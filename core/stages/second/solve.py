@@ -31,7 +31,7 @@ from .metal import METALLIC_THRESHOLD, is_mostly_metal
 from .normals.normal_alignment import align_normals
 from .normals.normal_improvement import improve_normals
 from .radiance_refit import refit_radiance
-from .refinement.refinement_selection import refine, report_step
+from .refinement.refinement_selection import refine
 from .secondary_tracer import secondary_tracer
 from .solver.albedo_prior import MEDIUM
 from .solver.gaussian_materials import assign_materials
@@ -42,6 +42,7 @@ from .solver.multi_view_samples import MultiViewSamples, sample_views
 from .solver.radiance_transfer import RadianceTransfer
 from .solver.schedule import run_solver
 from .solver.transfer_tracing import split_brightest, trace_radiance_transfer
+from .step_report import report_step
 
 LEAST_POINTS = 50  # with which the light is solved
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
@@ -125,12 +126,20 @@ def solve_in_closed_form(
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, SOLVED), dataset, settings, progress)
     if not _is_metal(reconstruction, solver):
-        watch = (progress, lambda done: report_step(progress, done))
-        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, *watch)
+        on_step = partial(report_step, progress)
+        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, progress, on_step)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     progress.phase("paint", 100)
-    watch = (settings.seed, lambda fraction: report_step(progress, int(100 * fraction)))
-    materials = assign_materials(reconstruction, surface, dataset.train, tracer, solver, *watch, settings.first.subpixels)
+    materials = assign_materials(
+        reconstruction,
+        surface,
+        dataset.train,
+        tracer,
+        solver,
+        seed=settings.seed,
+        on_fraction=lambda fraction: report_step(progress, int(100 * fraction)),
+        subpixels=settings.first.subpixels,
+    )
     enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")
     starts = [reconstruction.relabelled(torch.logit(materials), enlarged)]
@@ -140,8 +149,14 @@ def solve_in_closed_form(
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
     if iterations:
         progress.phase("radiance", iterations)
-        watch = (settings.seed, lambda done: report_step(progress, done) or progress.finish_early)
-        result = refit_radiance(result, dataset.train, iterations, *watch, settings.first.subpixels)
+        result = refit_radiance(
+            result,
+            dataset.train,
+            iterations,
+            seed=settings.seed,
+            on_step=partial(report_step, progress),
+            subpixels=settings.first.subpixels,
+        )
     return result, schedule_scale
 
 
@@ -174,16 +189,24 @@ def solve_light_materials(
     turns = light_rotations(dataset.train)
     rotations = None if turns is None else torch.from_numpy(turns).to(tracer.device)
     position, normal = surface.samples(second.points, random)
-    samples, _ = sample_views(position, normal, dataset.train, tracer.tree, tracer.offset, random, second.views, device=tracer.device)
+    samples, _ = sample_views(position, normal, dataset.train, tracer, random, most=second.views)
     if len(samples.position) < LEAST_POINTS:
         raise IrgsppError(
             f"only {len(samples.position)} points of the surface are seen in three photographs, too few to separate materials from light; "
             "check that cameras and masks match, or add photographs that overlap more"
         )
     progress.phase("trace", len(samples.position))
-    options = (LightTexels.uniform(second.rows), SIDE, settings.seed, second.indirect)
-    step = lambda done: report_step(progress, done)  # noqa: E731
-    transfer = trace_radiance_transfer(samples.position, samples.normal, tracer, *options, step, rotations)
+    transfer = trace_radiance_transfer(
+        samples.position,
+        samples.normal,
+        tracer,
+        LightTexels.uniform(second.rows),
+        side=SIDE,
+        seed=settings.seed,
+        indirect=second.indirect,
+        on_step=partial(report_step, progress),
+        rotations=rotations,
+    )
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal, or on a dark object.
     search_metal = dataset.has_alpha or reconstruction.has_split_sum
@@ -235,12 +258,11 @@ def _solve_from_first_stage(
     # A light that turns meets other traced rays in each view. Of a metal's light, the first stage's reflections know more.
     stays_coarse = transfer.rotations is not None or is_mostly_metal(g)
     metallic = (metallic > METALLIC_THRESHOLD).float() * search_metal
-    step = lambda done: report_step(progress, done) or progress.finish_early  # noqa: E731
 
     def solved(try_dark: bool) -> LightMaterialSolver:
         solver = LightMaterialSolver(samples, transfer, roughness, metallic, settings.seed, search_metal)
         progress.phase("second stage", STEPS)
-        run_solver(solver, None if stays_coarse else split, step, try_dark=try_dark)
+        run_solver(solver, None if stays_coarse else split, on_step=partial(report_step, progress), try_dark=try_dark)
         return solver
 
     solver = solved(try_dark=search_metal)

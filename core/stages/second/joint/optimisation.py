@@ -140,8 +140,8 @@ class JointOptimisation:
         else:
             raise InputError("second.solver", "no photograph shows the object", "check that cameras and masks match the images")
         pixels = self._choose(shown, self.settings.pixels, self.generator)
-        options = (self.light.detach().exp(), self.counts, self.generator, self.settings.sampling)
-        plan = self.model.plan(sums, view, pixels, *options)
+        light, method = self.light.detach().exp(), self.settings.sampling
+        plan = self.model.plan(sums, view, pixels, light, self.counts, self.generator, method)
         geometry = self.settings.geometry_rate > 0 and self.done >= NORMALS_FROM * self.settings.iterations
         losses = joint_losses(self.model, gaussians, self.light, sums, view, plan, self.weights, geometry)
         return torch.stack(list(losses.values())).sum()

@@ -50,14 +50,14 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
     plain = replace(start, gaussians=replace(g, sh=sh), has_split_sum=False, reflections=None)
     progress.phase("radiance", WARM_UP)
 
-    def step(done: int) -> bool:
+    def report(done: int) -> bool:
         """Report an iteration; return True to finish early."""
         progress.step(done)
         if progress.cancelled:
             raise Cancelled("stopped before the joint optimisation")
         return progress.finish_early
 
-    return refit_radiance(plain, views, WARM_UP, settings.seed, step, settings.first.subpixels)
+    return refit_radiance(plain, views, WARM_UP, settings.seed, on_step=report, subpixels=settings.first.subpixels)
 
 
 def mean_seen_radiance(gaussians: Gaussians, views: Sequence[TrainingView], scene_radius: float) -> tuple[torch.Tensor, torch.Tensor]:

@@ -47,7 +47,7 @@ def observe_diffuse_shading(
     vertices, normals = surface.vertices.astype(np.float32), surface.normals.astype(np.float32)
     chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(VIEWS, len(views))).round().astype(int))]
     random = np.random.default_rng(0)
-    samples, seen = sample_views(vertices, normals, chosen, tracer.tree, tracer.offset, random, VIEWS, least=1, device=tracer.device)
+    samples, seen = sample_views(vertices, normals, chosen, tracer, random, most=VIEWS, least=1)
     harmonics, openness = point_irradiance(solver)
     materials = torch.stack([solver.roughness, solver.metallic, openness], 1)
     index, weight = nearest_points(surface, solver)

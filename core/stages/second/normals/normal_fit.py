@@ -35,7 +35,7 @@ def fit_rendered_normals(
     radius: float,
     iterations: int,
     seed: int,
-    step: Callable[[int], object] = lambda done: None,
+    on_step: Callable[[int], object] = lambda done: None,
     subpixels: int = 1,
 ) -> Gaussians:
     """Turn surfels so that their rendered normals agree with a surface's.
@@ -47,7 +47,7 @@ def fit_rendered_normals(
         radius: radius of the scene's bound, world units.
         iterations: steps, one view each.
         seed: seed of the order of views.
-        step: called with the number of steps done; may raise.
+        on_step: called with the number of steps done; may raise.
         subpixels: rays along each side of a pixel.
 
     Returns:
@@ -75,7 +75,7 @@ def fit_rendered_normals(
             require_finite({"the normals' loss": loss}, f"at iteration {done + 1}")
         loss.backward()
         optimizer.step(done / iterations)
-        step(done + 1)
+        on_step(done + 1)
     optimizer.check_finite()
     turned = unit_vectors(optimizer.leaves["quaternion"].detach())
     return replace(gaussians, quaternion=turned)

@@ -31,7 +31,7 @@ def improve_normals(
     dataset: Dataset,
     settings: Settings,
     progress: Progress,
-    report: Callable[[int], object],
+    on_step: Callable[[int], object],
 ) -> tuple[Reconstruction, Surface]:
     """Turn the surface's normals so that they explain shading and reflections under the solved light, and the surfels after them.
 
@@ -45,7 +45,7 @@ def improve_normals(
         dataset: training views.
         settings: settings of the job.
         progress: receives the phases "normals" and "turn surfels", and a message on how far normals turned.
-        report: called with the number of steps done; may raise.
+        on_step: called with the number of steps done; may raise.
 
     Returns:
         The reconstruction with turned surfels, and the surface, finer where shading turned its normals.
@@ -58,13 +58,21 @@ def improve_normals(
     if second.shading_normals > 0 and solver.transfer.rotations is None:  # the mean over views that it explains is of one light
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
-        start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, report))
-        surface = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), report)
+        start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, on_step))
+        surface = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), on_step)
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
         progress.message(f"shading and reflections turn the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
     if second.normal_iterations > 0:
         progress.phase("turn surfels", second.normal_iterations)
-        size = (reconstruction.bound.radius, second.normal_iterations)
-        gaussians = fit_rendered_normals(gaussians, surface, dataset.train, *size, settings.seed, report, settings.first.subpixels)
+        gaussians = fit_rendered_normals(
+            gaussians,
+            surface,
+            dataset.train,
+            radius=reconstruction.bound.radius,
+            iterations=second.normal_iterations,
+            seed=settings.seed,
+            on_step=on_step,
+            subpixels=settings.first.subpixels,
+        )
     return replace(reconstruction, gaussians=gaussians), surface

@@ -39,7 +39,7 @@ def turn_to_reflections(
     views: Sequence[View],
     tracer: SecondaryTracer,
     seed: int,
-    report: Callable[[int], object] = lambda done: None,
+    on_step: Callable[[int], object] = lambda done: None,
 ) -> Surface:
     """Turn the normals of metal so that they reflect what the photographs show; vertices stay.
 
@@ -49,7 +49,7 @@ def turn_to_reflections(
         views: training images.
         tracer: tracer of the Gaussians.
         seed: seed of the random choice of views and of ray directions.
-        report: called with 0 now and then; may raise.
+        on_step: called with 0 now and then; may raise.
 
     Returns:
         The mesh with new normals; the same one without metal.
@@ -59,7 +59,7 @@ def turn_to_reflections(
         return surface
     position, normal = surface.vertices[metal].astype(np.float32), surface.normals[metal].astype(np.float32)
     random = np.random.default_rng(seed)
-    samples, seen = sample_views(position, normal, views, tracer.tree, tracer.offset, random, VIEWS, device=tracer.device)
+    samples, seen = sample_views(position, normal, views, tracer, random, most=VIEWS)
     chosen = seen.cpu().numpy()
     metal, roughness = metal[chosen], roughness[chosen]
     average, normals = neighbour_average(surface.faces, len(surface.vertices)), surface.normals
@@ -68,7 +68,7 @@ def turn_to_reflections(
     for _ in range(ROUNDS):
         change = np.zeros_like(normals)
         for part, own, transfer in kept or batches():
-            report(0)
+            on_step(0)
             change[metal[part]] = _turn(normals[metal[part]], own, transfer, solver.light, float(np.median(roughness[part])))
         for _ in range(AVERAGES):
             change = average @ change
@@ -99,5 +99,5 @@ def _batches(
     for begin in range(0, len(samples.position), BATCH):
         part = slice(begin, min(begin + BATCH, len(samples.position)))
         own = samples.part(part.start, part.stop)
-        options = (solver.transfer.texels, 1, seed, solver.transfer.has_indirect)
-        yield part, own, trace_radiance_transfer(own.position, own.normal, tracer, *options)
+        indirect = solver.transfer.has_indirect
+        yield part, own, trace_radiance_transfer(own.position, own.normal, tracer, solver.transfer.texels, seed=seed, indirect=indirect)

@@ -54,13 +54,13 @@ class DiffuseShading:
     irradiance: np.ndarray
 
 
-def fit_normals(surface: Surface, shading: DiffuseShading, progress: Callable[[int], object] = lambda done: None) -> Surface:
+def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[int], object] = lambda done: None) -> Surface:
     """Turn the normals of a surface so that they explain its shading; vertices stay.
 
     Args:
         surface: mesh with V vertices and smooth normals.
         shading: its observed radiance and light.
-        progress: called with the number of Gauss-Newton steps done; may raise.
+        on_step: called with the number of Gauss-Newton steps done; may raise.
 
     Returns:
         The mesh with new normals.
@@ -79,7 +79,7 @@ def fit_normals(surface: Surface, shading: DiffuseShading, progress: Callable[[i
             system = _linearised(surface, shading, operators, ties, displacement, log_albedo, robust=step > 0)
             change = system.solved(SOLVES)
             displacement, log_albedo = displacement + change[:, 0], log_albedo + change[:, 1:]
-            progress(min(step + 1, ITERATIONS))
+            on_step(min(step + 1, ITERATIONS))
     normals, _ = displaced_normals(surface.normals, operators.slope(displacement))
     return Surface(surface.vertices, normals, surface.faces, surface.voxel)
 

@@ -110,18 +110,18 @@ class Refinement:
         """Device of the tensors."""
         return self.light.device
 
-    def run(self, step: Callable[[int], object] = lambda done: None) -> None:
+    def run(self, on_step: Callable[[int], object] = lambda done: None) -> None:
         """Do all steps of the schedule.
 
         Args:
-            step: called with the number of steps done; it may raise, and ends the run early by returning True.
+            on_step: called with the number of steps done; it may raise, and ends the run early by returning True.
 
         Raises:
             IrgsppError: a value is not finite.
         """
         while self.done < self.settings.iterations:
             self.step()
-            if step(self.done):
+            if on_step(self.done):
                 return
 
     def step(self) -> None:

@@ -9,7 +9,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from ....errors import Cancelled
 from ....progress.protocol import Progress
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
@@ -20,6 +19,7 @@ from ...common.preview import albedo_image
 from ...common.skip_rules import decide_skip_rule
 from ...common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, second_stage_schedule_scale
 from ..metal import is_mostly_metal
+from ..step_report import report_step
 from .material_confidence import with_confidence
 from .pixel_pool import PixelPool, pool_pixels
 from .refinement import Refinement
@@ -115,21 +115,6 @@ def prepare_refinements(
     return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]
 
 
-def report_step(progress: Progress, done: int) -> None:
-    """Report the number of steps done in the second stage.
-
-    Args:
-        progress: receives the number.
-        done: steps.
-
-    Raises:
-        Cancelled: the user stopped the work.
-    """
-    progress.step(done)
-    if progress.cancelled:
-        raise Cancelled("stopped in the second stage")
-
-
 def _best_after_trial(refinements: Sequence[Refinement], progress: Progress) -> Refinement:
     """Refine each for the share TRIAL of the schedule, if there are several; return the best on held-back views."""
     if len(refinements) == 1:
@@ -143,8 +128,7 @@ def _until(steps: int, progress: Progress) -> Callable[[int], bool]:
     """Return a callback that reports each step and ends the run after a number of steps, or earlier where the user asks for it."""
 
     def report(done: int) -> bool:
-        report_step(progress, done)
-        return done >= steps or progress.finish_early
+        return report_step(progress, done) or done >= steps
 
     return report
 

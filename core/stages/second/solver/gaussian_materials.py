@@ -38,7 +38,7 @@ def assign_materials(
     tracer: SecondaryTracer,
     solver: LightMaterialSolver,
     seed: int,
-    step: Callable[[float], None],
+    on_fraction: Callable[[float], object],
     subpixels: int = 1,
 ) -> torch.Tensor:
     """Assign materials to all Gaussians under the solved light.
@@ -52,7 +52,7 @@ def assign_materials(
         tracer: tracer of the Gaussians.
         solver: solved light, and materials of its points.
         seed: seed of the random choice of views and of ray directions.
-        step: called with the fraction done, 0..1.
+        on_fraction: called with the fraction done, 0..1.
         subpixels: rays along each side of a pixel with which the radiance was fitted.
 
     Returns:
@@ -62,14 +62,21 @@ def assign_materials(
     position = g.position.T.contiguous().cpu().numpy()
     samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
     roughness, metallic = nearest_materials(solver.samples.position, solver.roughness, solver.metallic, samples.position)
-    albedo = torch.empty_like(samples.position)
+    albedo, known = torch.empty_like(samples.position), solver.transfer
     for begin in range(0, len(albedo), BATCH):
         part = slice(begin, begin + BATCH)
         batch = samples.part(begin, min(begin + BATCH, len(albedo)))
-        options = (solver.transfer.texels, 1, seed, solver.transfer.has_indirect)
-        transfer = trace_radiance_transfer(batch.position, batch.normal, tracer, *options, rotations=solver.transfer.rotations)
+        transfer = trace_radiance_transfer(
+            batch.position,
+            batch.normal,
+            tracer,
+            known.texels,
+            seed=seed,
+            indirect=known.has_indirect,
+            rotations=known.rotations,
+        )
         albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
-        step(min(1.0, (begin + BATCH) / len(albedo)))
+        on_fraction(min(1.0, (begin + BATCH) / len(albedo)))
     metal = metallic > 0
     albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)

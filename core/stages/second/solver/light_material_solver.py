@@ -169,9 +169,9 @@ class LightMaterialSolver:
     def turn_metal(self) -> None:
         """Search the normals of metal by its reflections, with its roughness, and let the light follow; at least one point is metal."""
         metal = self.metallic > 0
-        known = (self.samples.subset(metal), self.transfer.subset(metal), self.light, self.surface_normal[metal])
+        samples, transfer = self.samples.subset(metal), self.transfer.subset(metal)
         normal, roughness = self.samples.normal.clone(), self.roughness.clone()
-        normal[metal], roughness[metal] = reflected_normals(*known)
+        normal[metal], roughness[metal] = reflected_normals(samples, transfer, self.light, self.surface_normal[metal])
         self.samples, self.roughness = replace(self.samples, normal=normal), roughness
         self._update_model()
         for _ in range(TURN_STEPS):

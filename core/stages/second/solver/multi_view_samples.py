@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ....io.srgb import decode_srgb
-from ....kernels.trace import Tree
+from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View, light_rotations
 from ...common.training_view import SATURATED
 from .view_choice import ViewChoice, bilinear_pixels, choose_views, image_places
@@ -84,12 +84,10 @@ def sample_views(
     position: np.ndarray,
     normal: np.ndarray,
     views: Sequence[View],
-    tree: Tree,
-    offset: float,
+    tracer: SecondaryTracer,
     random: np.random.Generator,
     most: int,
     least: int = 3,
-    device: torch.device | str = "cpu",
 ) -> tuple[MultiViewSamples, torch.Tensor]:
     """Sample the photographs that see each of N surface points.
 
@@ -97,20 +95,18 @@ def sample_views(
         position: (N, 3) float32 points of the surface, world.
         normal: (N, 3) float32 unit normals.
         views: images.
-        tree: the surfels that may occlude a point.
-        offset: distance along the normal, world units, that clears the surface's own surfels.
+        tracer: tracer of the surfels that may occlude a point; the result is on its device.
         random: random generator of the choice among the views of a point.
         most: samples per point, at most.
         least: points seen by fewer views are left out.
-        device: device of the tree and of the result.
 
     Returns:
         The samples, and the indices of their points among the N given ones.
     """
-    device = torch.device(device)
-    choice = choose_views(position, normal, views, tree, offset, random, most, least, device)
+    choice = choose_views(position, normal, views, tracer, random, most, least)
     images = (view.colour for view in views)
-    return sample_images(position, normal, views, images, choice, device), torch.from_numpy(choice.chosen).to(device)
+    samples = sample_images(position, normal, views, images, choice, tracer.device)
+    return samples, torch.from_numpy(choice.chosen).to(tracer.device)
 
 
 def sample_images(

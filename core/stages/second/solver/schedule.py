@@ -27,7 +27,7 @@ TURNS = 2  # searches of the normals of metal; a third one changes little
 def run_solver(
     solver: LightMaterialSolver,
     split: Split | None = None,
-    step: Callable[[int], bool | None] = lambda done: None,
+    on_step: Callable[[int], bool | None] = lambda done: None,
     try_dark: bool = True,
 ) -> None:
     """Do all steps of a solver.
@@ -35,14 +35,14 @@ def run_solver(
     Args:
         solver: at its start; afterwards with the result.
         split: splits texels of the light; None: they stay as they are, and no dark start is tried.
-        step: called with the number of steps done, and with that of all after each search of normals; it may raise, and ends the run early
-            by returning True.
+        on_step: called with the number of steps done, and with that of all after each search of normals; it may raise, and ends the run
+            early by returning True.
         try_dark: also try a dark start, see `LightMaterialSolver.start_dark`.
 
     Raises:
         IrgsppError: an estimate is not finite.
     """
-    if split and try_dark and _dark_start_is_better(solver, step):
+    if split and try_dark and _dark_start_is_better(solver, on_step):
         solver.start_dark()
     coarse, ended = None, False
     for done in range(STEPS):
@@ -53,7 +53,7 @@ def run_solver(
         solver.advance(done)
         if coarse:
             coarse.advance(done)
-        if ended := bool(step(done + 1)):
+        if ended := bool(on_step(done + 1)):
             break
         if coarse and done + 1 == TWIN_STEPS and not _clearly_better(coarse, solver):
             coarse = None
@@ -63,7 +63,7 @@ def run_solver(
     if not ended and bool((solver.metallic > 0).any()) and not solver.is_mostly_metal:
         for _ in range(TURNS):
             solver.turn_metal()
-            if step(STEPS):
+            if on_step(STEPS):
                 break
     solver.reduce_tint()
 
@@ -73,13 +73,13 @@ def _clearly_better(one: LightMaterialSolver, other: LightMaterialSolver) -> boo
     return one.total_error() < CLEAR * other.total_error()
 
 
-def _dark_start_is_better(solver: LightMaterialSolver, step: Callable[[int], bool | None]) -> bool:
-    """Return True where a dark start explains some of the points better; `step` is called as by `run_solver`."""
+def _dark_start_is_better(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> bool:
+    """Return True where a dark start explains some of the points better; `on_step` is called as by `run_solver`."""
     every = max(1, len(solver.albedo) // START_POINTS)
     plain, dark = solver.thinned(every), solver.thinned(every)
     dark.start_dark()
     for done in range(START_STEPS):
-        if step(0):
+        if on_step(0):
             return False
         plain.advance(done)
         dark.advance(done)

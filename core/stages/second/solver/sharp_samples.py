@@ -58,7 +58,7 @@ def sharp_samples(
     g, mirrored = reconstruction.gaussians, reconstruction.mirrored()
     position = g.position.T.contiguous().cpu().numpy()
     random, device = np.random.default_rng(seed), g.position.device
-    choice = choose_views(position, normal, views, tracer.tree, tracer.offset, random, most=VIEWS, least=1, device=device)
+    choice = choose_views(position, normal, views, tracer, random, most=VIEWS, least=1)
     chosen = torch.from_numpy(choice.chosen).to(device)
     samples = sample_images(position, normal, views, (view.colour for view in views), choice, device)
     own = sh_radiance(g.sh[:, :, chosen[samples.point]], samples.view.T).T.contiguous()

@@ -37,10 +37,11 @@ def trace_radiance_transfer(
     normal: torch.Tensor,
     tracer: SecondaryTracer,
     texels: LightTexels,
-    side: int,
+    *,
+    side: int = 1,
     seed: int,
     indirect: bool,
-    step: Callable[[int], object] = lambda done: None,
+    on_step: Callable[[int], object] = lambda done: None,
     rotations: torch.Tensor | None = None,
 ) -> RadianceTransfer:
     """Trace the hemispheres of P points.
@@ -53,10 +54,10 @@ def trace_radiance_transfer(
         side: rays through each texel along a side.
         seed: seed of the random ray directions.
         indirect: trace the light that the object reflects onto itself, too; it casts shadows in any case.
-        step: called with the number of points done; may raise.
+        on_step: called with the number of points done; may raise.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
     """
-    traced = _traced(position, normal, texels.directions(side, seed), tracer, indirect, step)
+    traced = _traced(position, normal, texels.directions(side, seed), tracer, indirect, on_step)
     return _transfer(normal, texels, traced, indirect, rotations)
 
 
@@ -98,12 +99,12 @@ def _traced(
     directions: tuple[np.ndarray, np.ndarray],
     tracer: SecondaryTracer,
     indirect: bool,
-    step: Callable[[int], object],
+    on_step: Callable[[int], object],
 ) -> TracedDirections:
     """Return the attribute `traced` of a transfer as tensors; `directions` are those of `LightTexels.directions`."""
     direction, solid_angle = (torch.from_numpy(a).to(position.device) for a in directions)
     cosine = (normal @ direction).clamp_min(0)
-    visibility, radiance = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, step)
+    visibility, radiance = _trace_directions(tracer.above(position, normal), direction, cosine > 0, tracer, on_step)
     return TracedDirections(direction, solid_angle, visibility, radiance if indirect else torch.zeros_like(radiance))
 
 
@@ -117,7 +118,7 @@ def _transfer(
 
 
 def _trace_directions(
-    origin: torch.Tensor, direction: torch.Tensor, selected: torch.Tensor, tracer: SecondaryTracer, step: Callable[[int], object]
+    origin: torch.Tensor, direction: torch.Tensor, selected: torch.Tensor, tracer: SecondaryTracer, on_step: Callable[[int], object]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Trace rays from origins (P, 3) in `selected` (P, D) directions (3, D): transmittance (P, D), radiance (P, 3, D); else 0."""
     points, count = selected.shape
@@ -128,5 +129,5 @@ def _trace_directions(
         free, radiance = tracer.look(origin[begin + p], toward[d])
         visible[begin + p, d] = free
         incoming[begin + p, :, d] = radiance
-        step(min(begin + batch, points))
+        on_step(min(begin + batch, points))
     return visible, incoming

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
-from ....kernels.trace import Tree, transmittance
+from ....kernels.trace import transmittance
+from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import View
 from ...common.mask_band import narrowest_mask
@@ -38,12 +39,10 @@ def choose_views(
     position: np.ndarray,
     normal: np.ndarray,
     views: Sequence[View],
-    tree: Tree,
-    offset: float,
+    tracer: SecondaryTracer,
     random: np.random.Generator,
     most: int,
     least: int,
-    device: torch.device,
 ) -> ViewChoice:
     """Choose views of surface points. Rays are traced until enough views are found to see a point, not to all cameras.
 
@@ -51,12 +50,10 @@ def choose_views(
         position: (N, 3) float32 points of the surface, world.
         normal: (N, 3) float32 unit normals.
         views: images.
-        tree: the surfels that may occlude a point.
-        offset: distance along the normal, world units, that clears the surface's own surfels.
+        tracer: tracer of the surfels that may occlude a point.
         random: random generator of the choice.
         most: views per point, at most.
         least: points seen by fewer views are left out.
-        device: device of the tree.
     """
     candidates = [facing_points(position, normal, view) for view in views]
     view = np.repeat(np.arange(len(views)), [len(points) for points in candidates])
@@ -68,10 +65,10 @@ def choose_views(
 
     def sees(rows: np.ndarray) -> np.ndarray:
         """Return whether the views of candidates see their points, bool."""
-        start, direction = position[point[rows]] + offset * normal[point[rows]], centres[view[rows]] - position[point[rows]]
+        start, direction = position[point[rows]] + tracer.offset * normal[point[rows]], centres[view[rows]] - position[point[rows]]
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-        rays = (torch.from_numpy(array.astype(np.float32)).to(device) for array in (start, direction))
-        return transmittance(tree, *rays).cpu().numpy() > VISIBLE
+        rays = (torch.from_numpy(array.astype(np.float32)).to(tracer.device) for array in (start, direction))
+        return transmittance(tracer.tree, *rays).cpu().numpy() > VISIBLE
 
     kept = _first_seen(np.searchsorted(point, np.arange(len(position) + 1)), sees, max(most, least))
     count = np.bincount(point[kept], minlength=len(position))

@@ -123,8 +123,8 @@ def bad_roughness(monkeypatch):
 def bad_tracing(monkeypatch):
     trace = solve.trace_radiance_transfer
 
-    def broken(*args):
-        transfer = trace(*args)
+    def broken(*args, **options):
+        transfer = trace(*args, **options)
         transfer.indirect[7] = math.nan
         return transfer
 
@@ -134,8 +134,8 @@ def bad_tracing(monkeypatch):
 def bad_assignment(monkeypatch):
     assign_materials = solve.assign_materials
 
-    def broken(*args):
-        materials = assign_materials(*args)
+    def broken(*args, **options):
+        materials = assign_materials(*args, **options)
         materials[2, 9] = math.nan
         return materials
 

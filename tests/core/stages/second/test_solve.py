@@ -134,7 +134,7 @@ def test_what_both_starts_end_with_decides_whether_an_object_is_dark(sphere, sph
     """A hammer with a steel head looked dark in the first steps, before its metal was known."""
     make, surface = sphere
 
-    def started(solver, split, step, try_dark):
+    def started(solver, split, on_step, try_dark):
         if try_dark:
             solver.start_dark()
 
@@ -209,7 +209,7 @@ def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, 
         traced.append(tracer)
         return replace(reconstruction, gaussians=turned), surface
 
-    def stop(gaussians, surface, views, tracer, *_):
+    def stop(gaussians, surface, views, tracer, *_, **options):
         traced.append(tracer)
         raise Cancelled("enough")
 

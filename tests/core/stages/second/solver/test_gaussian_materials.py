@@ -190,7 +190,9 @@ def lit(splat_sphere):
     scene = reconstruction(splat_sphere, False)
     random = torch.Generator().manual_seed(2)
     position = torch.nn.functional.normalize(torch.randn(50, 3, generator=random), dim=1)
-    transfer = trace_radiance_transfer(position, position.clone(), SecondaryTracer(scene), LightTexels.uniform(HEIGHT), 1, 0, True)
+    transfer = trace_radiance_transfer(
+        position, position.clone(), SecondaryTracer(scene), LightTexels.uniform(HEIGHT), side=1, seed=0, indirect=True
+    )
     point = torch.arange(50).repeat_interleave(5)
     view = torch.nn.functional.normalize(position[point] + 0.6 * torch.randn(250, 3, generator=random).clamp(-1, 1), dim=1)
     light = 0.2 + torch.rand(2 * HEIGHT**2, 3, generator=random)

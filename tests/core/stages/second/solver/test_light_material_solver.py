@@ -65,7 +65,7 @@ def test_gloss_is_found(scene, found):
 def test_metal_is_found_only_where_it_is_looked_for(scene):
     transfer, seen, _ = scene
     solver = LightMaterialSolver(seen, transfer, torch.full((len(seen.position),), 0.5), torch.zeros(len(seen.position)), 0, False)
-    run_solver(solver, step=lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
+    run_solver(solver, on_step=lambda done: done == max(module.MATERIAL_STEPS[:2]) + 1)
     assert (solver.metallic == 0).all() and solver.roughness.std() > 0.05
 
 
@@ -124,14 +124,14 @@ def test_steps_are_reported_and_can_end_the_run(scene):
     transfer, seen, _ = scene
     reported = []
     solver = start(seen, transfer)
-    run_solver(solver, step=lambda done: reported.append(done) or done == 2)
+    run_solver(solver, on_step=lambda done: reported.append(done) or done == 2)
     assert reported == [1, 2]
 
     def stop(done):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
-        run_solver(start(seen, transfer), step=stop)
+        run_solver(start(seen, transfer), on_step=stop)
     assert max(module.MATERIAL_STEPS) + 1 < STEPS  # the light follows the materials
 
 
@@ -155,7 +155,7 @@ def test_tint_stays_with_the_light_only_where_the_photographs_tell(scene, monkey
     transfer, seen, _ = scene
     monkeypatch.setattr(LightMaterialSolver, "reduce_tint", lambda self: None)
     solver = start(replace(seen, colour=seen.colour * torch.tensor([1.5, 1.0, 0.6])), transfer)
-    run_solver(solver, step=lambda done: done == 6)
+    run_solver(solver, on_step=lambda done: done == 6)
     monkeypatch.undo()
     before, product = solver._light_prior.tint(solver.light), solver.light.mean(0) * solver.albedo
     assert before.abs().max() > 0.2

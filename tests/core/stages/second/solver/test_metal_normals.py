@@ -103,5 +103,5 @@ def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
     done = []
     metal = {"metallic": torch.tensor([1.0, 0.0, 0.0]), "is_mostly_metal": False}
     solver = SimpleNamespace(**metal, advance=done.append, reduce_tint=lambda: done.append("tint"))
-    run_solver(solver, step=lambda steps: steps == STEPS)
+    run_solver(solver, on_step=lambda steps: steps == STEPS)
     assert done == [*range(STEPS), "tint"]

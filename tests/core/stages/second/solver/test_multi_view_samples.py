@@ -2,6 +2,7 @@
 """Multi-view samples of a sphere in analytic images: visibility, directions and colours."""
 
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -70,7 +71,8 @@ def points():
 
 
 def look(points, views, tree, most=100, least=3, seed=0):
-    return sample_views(*points, views, tree, OFFSET, np.random.default_rng(seed), most, least)
+    tracer = SimpleNamespace(tree=tree, offset=OFFSET, device="cpu")
+    return sample_views(*points, views, tracer, np.random.default_rng(seed), most, least)
 
 
 def pairs(seen, chosen, cameras):

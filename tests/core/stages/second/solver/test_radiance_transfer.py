@@ -36,7 +36,7 @@ def points(*rows):
 
 def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1), (5, 0, 0, 3, 1, -2), (0, -4, 4, 0, -1, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), side=2, seed=0, indirect=True)
     np.testing.assert_allclose(transfer.irradiance.sum(1), 1, atol=5e-3)
     assert (transfer.indirect == 0).all()
     assert (transfer.traced.visibility == (normal.numpy() @ transfer.traced.direction > 0)).all()
@@ -44,7 +44,7 @@ def test_nothing_in_the_way_and_white_light_make_irradiance_one(tracer):
 
 def test_each_texel_brings_what_its_cosine_lets_it(tracer):
     position, normal = points((0, 0, 5, 0, 0, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 4, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), side=4, seed=0, indirect=True)
     edge = np.cos(np.arange(HEIGHT + 1) * math.pi / HEIGHT)
     row = np.maximum(edge[:-1], 0) ** 2 - np.maximum(edge[1:], 0) ** 2  # exactly: integral of 2 cos over the row
     actual = transfer.irradiance.view(HEIGHT, -1)
@@ -55,7 +55,7 @@ def test_each_texel_brings_what_its_cosine_lets_it(tracer):
 @pytest.mark.parametrize("distance", [1.5, 2.0, 3.0])
 def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer, distance):
     position, normal = points((0, 0, -distance, 0, 0, 1))
-    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(16), 3, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(16), side=3, seed=0, indirect=True)
     form = 1 / (distance - tracer.offset) ** 2  # of a unit sphere and a patch that faces it
     assert 1 - float(transfer.irradiance.sum()) == pytest.approx(form, rel=0.04)
     np.testing.assert_allclose(transfer.indirect[0], form * RADIANCE, rtol=0.04)
@@ -63,16 +63,19 @@ def test_a_sphere_ahead_takes_light_and_gives_its_own_by_its_form_factor(tracer,
 
 def test_own_light_can_be_left_out_and_shadows_stay(tracer):
     position, normal = points((0, 0, -1.5, 0, 0, 1))
-    both = [trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, indirect) for indirect in (True, False)]
+    both = [
+        trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), side=2, seed=0, indirect=indirect)
+        for indirect in (True, False)
+    ]
     assert torch.equal(both[0].irradiance, both[1].irradiance)
     assert (both[0].indirect > 0.01).all() and (both[1].indirect == 0).all() and (both[1].traced.indirect_radiance == 0).all()
 
 
 def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
     position, normal = points(*np.random.default_rng(0).normal(size=(9, 6)).tolist())
-    whole = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), 2, 3, True)
+    whole = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), side=2, seed=3, indirect=True)
     monkeypatch.setattr(transfer_tracing, "RAYS", 128)
-    parts = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), 2, 3, True)
+    parts = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), side=2, seed=3, indirect=True)
     assert torch.equal(whole.irradiance, parts.irradiance) and torch.equal(whole.indirect, parts.indirect)
     assert all(np.array_equal(a, b) for a, b in zip(whole.traced, parts.traced, strict=True))
 
@@ -84,7 +87,7 @@ def test_views_of_points_agree_with_monte_carlo(tracer):
     albedo = torch.tensor([[0.8, 0.4, 0.2]]).expand(3, 3)
     view = torch.nn.functional.normalize(normal + 0.7 * torch.tensor([[0.0, 1, 0], [0, 0, 1], [1, 0, 0]]), dim=1)
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(0)) + 0.1
-    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 16, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), side=16, seed=0, indirect=True)
     black = torch.zeros(3, 3)
     seen = MultiViewSamples(position, normal, torch.arange(3), view, black, black.bool())
     f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(seen, roughness)
@@ -112,7 +115,7 @@ def monte_carlo(tracer, position, view, normal, albedo, roughness, metallic, lig
 
 def test_sums_for_many_roughness_values_agree_with_rows(tracer):
     position, normal = points((0, 0, -1.6, 0.6, 0, 1), (1.5, 0, 0, -1, 0.5, 0.5))
-    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
+    transfer = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(HEIGHT), side=2, seed=0, indirect=True)
     black = torch.zeros(2, 3)
     seen = MultiViewSamples(position, normal, torch.arange(2), normal, black, black.bool())
     light, knots = torch.rand(2 * HEIGHT**2, 3), torch.tensor([0.1, 0.4, 0.9])

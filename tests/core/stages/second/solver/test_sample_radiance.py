@@ -16,7 +16,7 @@ def halfway():
     """A solver of a small problem after some steps, with weights, and target and weight of the albedo's prior."""
     transfer, seen, _ = make(40, 15)
     solver = start(seen, transfer)
-    run_solver(solver, step=lambda step: step == 9)
+    run_solver(solver, on_step=lambda step: step == 9)
     solver.metallic[::3] = 0.5  # all terms at once
     solver._update_model()
     random = torch.Generator().manual_seed(5)

@@ -33,7 +33,7 @@ def samples():
 
 def test_split_texels_bring_the_same_light_and_others_keep_their_rays(tracer, samples):
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(1))
-    before = trace_radiance_transfer(samples.position, samples.normal, tracer, LightTexels.uniform(HEIGHT), 4, 0, True)
+    before = trace_radiance_transfer(samples.position, samples.normal, tracer, LightTexels.uniform(HEIGHT), side=4, seed=0, indirect=True)
     after, old = split_brightest(before, light, samples, tracer, 0, 4 * HEIGHT)
     kept = np.bincount(old, minlength=before.texels.count) == 1
     assert (~kept).sum() == SPLIT and after.texels.count == before.texels.count + 3 * SPLIT
@@ -45,6 +45,6 @@ def test_split_texels_bring_the_same_light_and_others_keep_their_rays(tracer, sa
 
 
 def test_small_texels_stay_as_they_are(tracer, samples):
-    before = trace_radiance_transfer(samples.position, samples.normal, tracer, LightTexels.uniform(HEIGHT), 2, 0, True)
+    before = trace_radiance_transfer(samples.position, samples.normal, tracer, LightTexels.uniform(HEIGHT), side=2, seed=0, indirect=True)
     after, old = split_brightest(before, torch.rand(2 * HEIGHT**2, 3), samples, tracer, 0, HEIGHT)
     assert after is before and np.array_equal(old, np.arange(2 * HEIGHT**2))
