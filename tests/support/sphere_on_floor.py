@@ -15,7 +15,7 @@ from irgspp.core.stages.second.solver.light_material_solver import LightMaterial
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
-from irgspp.core.stages.second.solver.schedule import run_solver
+from irgspp.core.stages.second.solver.solver_run import run_solver
 
 HEIGHT = 8
 TEXELS = 2 * HEIGHT**2

@@ -132,13 +132,13 @@ class LightMaterialSolver:
         unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
         require_finite(unknowns, f"after step {done + 1} of the second stage")
 
-    def twin(self) -> LightMaterialSolver:
+    def copied(self) -> LightMaterialSolver:
         """Return a copy that goes its own way."""
-        twin = copy.copy(self)  # steps replace tensors, they do not change them
-        twin.generator = torch.Generator().set_state(self.generator.get_state())
-        return twin
+        other = copy.copy(self)  # steps replace tensors, they do not change them
+        other.generator = torch.Generator().set_state(self.generator.get_state())
+        return other
 
-    def thinned(self, every: int) -> LightMaterialSolver:
+    def subsampled(self, every: int) -> LightMaterialSolver:
         """Return a solver at its start for each `every`-th point; this one must be at its start, too."""
         kept = torch.arange(len(self.albedo), device=self.albedo.device) % every == 0
         materials = (self.roughness[kept], self.metallic[kept])
@@ -147,10 +147,6 @@ class LightMaterialSolver:
     def start_dark(self) -> None:
         """Start from a dark albedo under a bright light instead."""
         self.albedo, self.start_albedo, self.light = torch.full_like(self.albedo, DARK), DARK, self.light * (MEDIUM / DARK)
-
-    def become(self, other: LightMaterialSolver) -> None:
-        """Take over everything from another solver."""
-        self.__dict__.update(other.__dict__)
 
     def light_map(self, height: int) -> torch.Tensor:
         """Return the light as a lat-long map (height, 2 height, 3), linear radiance."""

@@ -17,6 +17,7 @@ from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.trainer import Trainer
 from irgspp.core.stages.second import radiance_refit, solve
 from irgspp.core.stages.second.refinement.refinement import Refinement
+from irgspp.core.stages.second.solver import light_materials
 from irgspp.core.stages.second.solver.light_material_solver import LightMaterialSolver
 from small_scenes import small_scene
 
@@ -121,14 +122,14 @@ def bad_roughness(monkeypatch):
 
 
 def bad_tracing(monkeypatch):
-    trace = solve.trace_radiance_transfer
+    trace = light_materials.trace_radiance_transfer
 
     def broken(*args, **options):
         transfer = trace(*args, **options)
         transfer.indirect[7] = math.nan
         return transfer
 
-    monkeypatch.setattr(solve, "trace_radiance_transfer", broken)
+    monkeypatch.setattr(light_materials, "trace_radiance_transfer", broken)
 
 
 def bad_assignment(monkeypatch):

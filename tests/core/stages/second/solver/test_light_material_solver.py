@@ -16,7 +16,7 @@ from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightM
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
 from irgspp.core.stages.second.solver.sample_radiance import SampleRadiance
-from irgspp.core.stages.second.solver.schedule import run_solver
+from irgspp.core.stages.second.solver.solver_run import run_solver
 from sphere_on_floor import HEIGHT, TEXELS, make, rendered, solved, start, transport
 
 

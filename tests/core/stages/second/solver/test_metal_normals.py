@@ -11,7 +11,7 @@ from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
 from irgspp.core.stages.second.solver.metal_normals import RINGS, ROUGHNESS, STEP, reflected_normals
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
-from irgspp.core.stages.second.solver.schedule import TURNS, run_solver
+from irgspp.core.stages.second.solver.solver_run import NORMAL_SEARCHES, run_solver
 from sphere_on_floor import make, start
 
 
@@ -84,7 +84,7 @@ def test_the_solver_turns_metal_alone_and_keeps_the_surface():
     assert torch.equal(solver.roughness[~metal], roughness[~metal])
 
 
-@pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), TURNS), ((1.0, 1.0, 0.0), 0)])
+@pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 0.0), 0)])
 def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
     """Not on an object that is metal as a whole: its normals come from the first stage's reflections."""
     done = []

@@ -7,7 +7,7 @@ import torch
 from irgspp.core.kernels.jacobian import gram
 from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.stages.second.solver.sample_equation import view_terms
-from irgspp.core.stages.second.solver.schedule import run_solver
+from irgspp.core.stages.second.solver.solver_run import run_solver
 from sphere_on_floor import TEXELS, make, start
 
 

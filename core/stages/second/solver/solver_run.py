@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Schedule of the solver's steps.
+"""Run of the solver: its start, the course of its steps, and its end.
 
 1. Start: a few steps on some of the points from a medium and from a dark albedo; the better one is the start.
 2. Twice in the course of the steps, the brightest texels of the light are split into smaller ones. A copy without the split goes on beside
-   the solver; it is given up after TWIN_STEPS unless it is clearly better, and is the result if it is so at the end.
+   the solver; it is given up after COARSE_STEPS unless it is clearly better, and is the result if it is so at the end.
 3. At the end, the normals of metal parts are searched, and a tint of the light moves into the albedo as far as the photographs leave it
    open.
 """
@@ -16,12 +16,12 @@ from .light_material_solver import STEPS, LightMaterialSolver, Split
 
 START_STEPS, START_POINTS = 20, 400  # steps after which two starts are compared, and about how many points they are compared on
 SPLIT_STEPS = (14, 22)  # texels of the light are split when so many steps are done
-TWIN_STEPS = 24  # steps done when the copy without the split is given up, unless it is clearly better
-DARK_BETTER = 0.95  # ratio of errors below which a dark start is the better one
+COARSE_STEPS = 24  # steps done when the copy without the split is given up, unless it is clearly better
+MAX_DARK_ERROR_RATIO = 0.95  # ratio of errors below which a dark start is the better one
 # Ratio of errors below which the coarse light is clearly better. Errors that differ by less tell nothing: at the end of two runs on
 # rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.
-CLEAR = 0.99
-TURNS = 2  # searches of the normals of metal; a third one changes little
+MAX_COARSE_ERROR_RATIO = 0.99
+NORMAL_SEARCHES = 2  # searches of the normals of metal; a third one changes little
 
 
 def run_solver(
@@ -29,11 +29,11 @@ def run_solver(
     split: Split | None = None,
     on_step: Callable[[int], bool | None] = lambda done: None,
     try_dark: bool = True,
-) -> None:
-    """Do all steps of a solver.
+) -> LightMaterialSolver:
+    """Do all steps of a solver, and return it, or the copy of it that explains the photographs better.
 
     Args:
-        solver: at its start; afterwards with the result.
+        solver: at its start; it is modified.
         split: splits texels of the light; None: they stay as they are, and no dark start is tried.
         on_step: called with the number of steps done, and with that of all after each search of normals; it may raise, and ends the run
             early by returning True.
@@ -47,7 +47,7 @@ def run_solver(
     coarse, ended = None, False
     for done in range(STEPS):
         if split and done == SPLIT_STEPS[0]:
-            coarse = solver.twin()
+            coarse = solver.copied()
         if split and done in SPLIT_STEPS:
             solver.split_texels(split)
         solver.advance(done)
@@ -55,32 +55,33 @@ def run_solver(
             coarse.advance(done)
         if ended := bool(on_step(done + 1)):
             break
-        if coarse and done + 1 == TWIN_STEPS and not _clearly_better(coarse, solver):
+        if coarse and done + 1 == COARSE_STEPS and not _clearly_better(coarse, solver):
             coarse = None
     if coarse and _clearly_better(coarse, solver):
-        solver.become(coarse)
+        solver = coarse
     # Of an object that is metal as a whole, the first stage's reflections know the normals better.
     if not ended and bool((solver.metallic > 0).any()) and not solver.is_mostly_metal:
-        for _ in range(TURNS):
+        for _ in range(NORMAL_SEARCHES):
             solver.turn_metal()
             if on_step(STEPS):
                 break
     solver.reduce_tint()
+    return solver
 
 
 def _clearly_better(one: LightMaterialSolver, other: LightMaterialSolver) -> bool:
     """Return True where one solver explains the photographs clearly better than another."""
-    return one.total_error() < CLEAR * other.total_error()
+    return one.total_error() < MAX_COARSE_ERROR_RATIO * other.total_error()
 
 
 def _dark_start_is_better(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> bool:
     """Return True where a dark start explains some of the points better; `on_step` is called as by `run_solver`."""
     every = max(1, len(solver.albedo) // START_POINTS)
-    plain, dark = solver.thinned(every), solver.thinned(every)
+    plain, dark = solver.subsampled(every), solver.subsampled(every)
     dark.start_dark()
     for done in range(START_STEPS):
         if on_step(0):
             return False
         plain.advance(done)
         dark.advance(done)
-    return dark.total_error() < DARK_BETTER * plain.total_error()
+    return dark.total_error() < MAX_DARK_ERROR_RATIO * plain.total_error()

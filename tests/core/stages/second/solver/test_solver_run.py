@@ -8,7 +8,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.albedo_prior import DARK, MEDIUM
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
-from irgspp.core.stages.second.solver.schedule import SPLIT_STEPS, START_STEPS, TWIN_STEPS, run_solver
+from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
 
 
@@ -49,15 +49,14 @@ def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
 @pytest.mark.parametrize(("error", "taken"), [(0.98, True), (0.995, False), (1.0, False)])
 def test_coarse_light_is_taken_back_where_it_is_clearly_better(scene, monkeypatch, error, taken):
     transfer, seen, _ = scene
-    solver, coarse, original = start(seen, transfer), [], LightMaterialSolver.twin
-    monkeypatch.setattr(LightMaterialSolver, "twin", lambda self: coarse.append(original(self)) or coarse[-1])
+    solver, coarse, original = start(seen, transfer), [], LightMaterialSolver.copied
+    monkeypatch.setattr(LightMaterialSolver, "copied", lambda self: coarse.append(original(self)) or coarse[-1])
     monkeypatch.setattr(LightMaterialSolver, "total_error", lambda self: error if self in coarse else 1.0)
-    became, steps, advance = [], [], LightMaterialSolver.advance
-    monkeypatch.setattr(LightMaterialSolver, "become", lambda self, other: became.append(other))
+    steps, advance = [], LightMaterialSolver.advance
     monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: (self in coarse and steps.append(done)) or advance(self, done))
-    run_solver(solver, unsplit, try_dark=False)
-    assert became == (coarse if taken else []) and len(coarse) == 1
-    assert steps == list(range(SPLIT_STEPS[0], STEPS if taken else TWIN_STEPS))  # otherwise given up early
+    result = run_solver(solver, unsplit, try_dark=False)
+    assert result is (coarse[0] if taken else solver) and len(coarse) == 1
+    assert steps == list(range(SPLIT_STEPS[0], STEPS if taken else COARSE_STEPS))  # otherwise given up early
 
 
 @pytest.mark.parametrize("last", [3, SPLIT_STEPS[0] + 3, STEPS])
@@ -79,7 +78,7 @@ def test_the_run_may_end_while_starts_are_compared(scene):
 
 def test_some_points_alone_are_solved_alike(scene):
     transfer, seen, _ = scene
-    whole, part = start(seen, transfer), start(seen, transfer).thinned(2)
+    whole, part = start(seen, transfer), start(seen, transfer).subsampled(2)
     points = torch.arange(0, len(seen.position), 2)
     assert torch.equal(part.samples.position, seen.position[points])
     assert torch.equal(part.samples.lengths, seen.lengths[points])
