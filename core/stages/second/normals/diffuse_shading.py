@@ -19,7 +19,7 @@ from ....shading.split_sum import specular_light, specular_radiance
 from ..metal import METALLIC_THRESHOLD
 from ..solver.light_material_solver import LightMaterialSolver
 from ..solver.multi_view_samples import MultiViewSamples, sample_views
-from .shading_normals import DARKEST, DiffuseShading
+from .shading_normals import MIN_IRRADIANCE, DiffuseShading
 
 VIEWS = 32  # sampled, at most, spread over all
 FRONTAL = 4  # power of the cosine between normal and view by which a sample counts; oblique views blur what lies off the mesh
@@ -48,8 +48,8 @@ def observe_diffuse_shading(
     chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(VIEWS, len(views))).round().astype(int))]
     random = np.random.default_rng(0)
     samples, seen = sample_views(vertices, normals, chosen, tracer, random, most=VIEWS, least=1)
-    harmonics, openness = point_irradiance(solver)
-    materials = torch.stack([solver.roughness, solver.metallic, openness], 1)
+    harmonics, fraction = point_irradiance(solver)
+    materials = torch.stack([solver.roughness, solver.metallic, fraction], 1)
     index, weight = nearest_points(surface, solver)
     around = (materials.cpu().numpy()[index] * weight[..., None]).sum(1)
     irradiance = np.asarray(sum(harmonics[index[:, k]] * weight[:, k, None, None] for k in range(index.shape[1])))
@@ -73,11 +73,11 @@ def point_irradiance(solver: LightMaterialSolver) -> tuple[np.ndarray, torch.Ten
     distant = light.repeat(direction.shape[1] // len(light), 1)
     harmonics = torch.stack([(visibility * distant[:, c] + indirect[:, c]) @ basis.T for c in range(3)], 2)
     exact = transfer.irradiance @ light + transfer.indirect
-    own = torch.einsum("kp,pkc->pc", sh_basis(normal.T, 2), harmonics)
+    approximate = torch.einsum("kp,pkc->pc", sh_basis(normal.T, 2), harmonics)
     unoccluded = ((normal @ direction).clamp_min(0) * solid_angle / math.pi) @ distant
-    scale = (exact / own.clamp_min(DARKEST)).clamp(0.5, 2)
-    openness = (exact.sum(1) / unoccluded.sum(1).clamp_min(1e-9)).clamp(0, 1)
-    return (harmonics * scale[:, None]).double().cpu().numpy(), openness
+    scale = (exact / approximate.clamp_min(MIN_IRRADIANCE)).clamp(0.5, 2)
+    irradiance_fraction = (exact.sum(1) / unoccluded.sum(1).clamp_min(1e-9)).clamp(0, 1)
+    return (harmonics * scale[:, None]).double().cpu().numpy(), irradiance_fraction
 
 
 def mean_diffuse_radiance(samples: MultiViewSamples, solver: LightMaterialSolver, materials: torch.Tensor) -> tuple[np.ndarray, np.ndarray]:
@@ -86,7 +86,7 @@ def mean_diffuse_radiance(samples: MultiViewSamples, solver: LightMaterialSolver
     Args:
         samples: K samples of P points.
         solver: its light is reflected.
-        materials: (P, 3) roughness, metallic and openness of the points.
+        materials: (P, 3) roughness, metallic and `irradiance_fraction` of the points.
 
     Returns:
         (P, 3) log of the robust mean, and its precision (P,), 1 / variance.
@@ -108,11 +108,11 @@ def _diffuse_parts(samples: MultiViewSamples, solver: LightMaterialSolver, mater
     for begin in range(0, len(samples.point), BATCH):
         part = slice(begin, begin + BATCH)
         point, view = samples.point[part], samples.view[part]
-        roughness, openness = materials[point, 0].contiguous(), materials[point, 2:]
+        roughness, irradiance_fraction = materials[point, 0].contiguous(), materials[point, 2:]
         dark = torch.zeros_like(view)  # a dielectric's gloss does not depend on its albedo
         gloss = specular_radiance(view, samples.normal[point].contiguous(), dark, roughness, dark[:, 0].contiguous(), stack)
-        diffuse = (samples.colour[part] - gloss * openness) / diffuse_fraction(samples.n_v[part], roughness)[:, None]
-        yield diffuse.clamp_min(2 * DARKEST)
+        diffuse = (samples.colour[part] - gloss * irradiance_fraction) / diffuse_fraction(samples.n_v[part], roughness)[:, None]
+        yield diffuse.clamp_min(2 * MIN_IRRADIANCE)
 
 
 def nearest_points(surface: Surface, solver: LightMaterialSolver) -> tuple[np.ndarray, np.ndarray]:

@@ -24,19 +24,21 @@ from ....scene.surface import Surface
 from .surface_gradient import SurfaceGradient
 
 ITERATIONS = 4  # Gauss-Newton steps with new robust weights
-REPEATED = 3  # further steps where the relief turns out to be strong
-SOLVES = 40  # conjugate gradient iterations in each
-TOLERANCE = 1e-3  # of the conjugate gradients' residual
-OUTLIER = 2.0  # residual over its standard deviation at which a vertex's robust weight is halved (Cauchy)
-DISPLACEMENT, SLOPE, BEND = 1.5, 0.25, 0.4  # standard deviations of the displacement, its gradient and its Laplacian, in edges
-RELIEF = 7.0  # standard deviation of the gradient over the root mean square of what was found with SLOPE, which the prior shrinks
-LARGEST_SLOPE = 0.6  # standard deviation of the gradient, at most
-STEP = 0.005  # standard deviation of log albedo along an edge where the chromaticity does not vary
-CHROMATICITY = 10.0  # by which the luminance of paint varies more than its chromaticity
-NOISE = 0.004  # of log chromaticity, along an edge
-AROUND = 16  # passes that spread the variation of chromaticity over neighbours
-SPREAD = 0.7  # fraction of the way to the mean of its neighbours that a vertex goes in each pass
-DARKEST = 1e-3  # least irradiance / pi
+RELIEF_ITERATIONS = 3  # further steps where the relief turns out to be strong
+CG_ITERATIONS = 40  # conjugate gradient iterations in each
+CG_TOLERANCE = 1e-3  # of the conjugate gradients' residual
+CAUCHY_SCALE = 2.0  # residual over its standard deviation at which a vertex's robust weight is halved (Cauchy)
+# Standard deviations of the displacement, its gradient and its Laplacian, in edges.
+DISPLACEMENT_DEVIATION, SLOPE_DEVIATION, LAPLACIAN_DEVIATION = 1.5, 0.25, 0.4
+# Standard deviation of the gradient over the root mean square of what was found with SLOPE_DEVIATION, which the prior shrinks.
+SLOPE_DEVIATION_RATIO = 7.0
+MAX_SLOPE_DEVIATION = 0.6  # standard deviation of the gradient, at most
+ALBEDO_DEVIATION = 0.005  # standard deviation of log albedo along an edge where the chromaticity does not vary
+PAINT_LUMINANCE_RATIO = 10.0  # by which the luminance of paint varies more than its chromaticity
+CHROMATICITY_NOISE = 0.004  # of log chromaticity, along an edge
+SPREAD_PASSES = 16  # passes that spread the variation of chromaticity over neighbours
+SPREAD_FRACTION = 0.7  # fraction of the way to the mean of its neighbours that a vertex goes in each pass
+MIN_IRRADIANCE = 1e-3  # least irradiance / pi
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,16 +70,16 @@ def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[in
     operators = SurfaceGradient.of(surface)
     irradiance = log_irradiance(shading.irradiance, surface.normals)[0]
     displacement, log_albedo = np.zeros(len(surface.vertices)), shading.log_radiance - irradiance
-    deviation = SLOPE
-    for repeated, steps in ((False, range(ITERATIONS)), (True, range(ITERATIONS, ITERATIONS + REPEATED))):
+    deviation = SLOPE_DEVIATION
+    for repeated, steps in ((False, range(ITERATIONS)), (True, range(ITERATIONS, ITERATIONS + RELIEF_ITERATIONS))):
         if repeated:
             deviation = slope_deviation(operators.slope(displacement)[shading.precision > 0])
-            if deviation <= SLOPE:
+            if deviation <= SLOPE_DEVIATION:
                 break
-        ties = displacement_prior(operators, deviation)
+        prior = displacement_prior(operators, deviation)
         for step in steps:
-            system = _linearised(surface, shading, operators, ties, displacement, log_albedo, robust=step > 0)
-            change = system.solved(SOLVES)
+            system = _linearised(surface, shading, operators, prior, displacement, log_albedo, robust=step > 0)
+            change = system.solved(CG_ITERATIONS)
             displacement, log_albedo = displacement + change[:, 0], log_albedo + change[:, 1:]
             on_step(min(step + 1, ITERATIONS))
     normals, _ = displaced_normals(surface.normals, operators.slope(displacement))
@@ -85,9 +87,9 @@ def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[in
 
 
 def slope_deviation(slope: np.ndarray) -> float:
-    """Return the standard deviation of the gradient that a relief deserves: SLOPE, or more where slopes (V, 3) found with it are large."""
+    """Return the standard deviation of the gradient that suits a relief: SLOPE_DEVIATION, or more where slopes (V, 3) are large."""
     found = math.sqrt(float((slope**2).sum(1).mean())) if len(slope) else 0.0
-    return min(max(SLOPE, RELIEF * found), LARGEST_SLOPE)
+    return min(max(SLOPE_DEVIATION, SLOPE_DEVIATION_RATIO * found), MAX_SLOPE_DEVIATION)
 
 
 def displacement_prior(operators: SurfaceGradient, deviation: float) -> sparse.csr_matrix:
@@ -103,7 +105,7 @@ def displacement_prior(operators: SurfaceGradient, deviation: float) -> sparse.c
     count = len(operators.average.indptr) - 1
     bend = sparse.identity(count, format="csr") - operators.average
     slope = sum((matrix.T @ matrix) / deviation**2 for matrix in operators.gradient)
-    return (slope + sparse.identity(count, format="csr") / DISPLACEMENT**2 + (bend.T @ bend) / BEND**2).tocsr()
+    return (slope + sparse.identity(count, format="csr") / DISPLACEMENT_DEVIATION**2 + (bend.T @ bend) / LAPLACIAN_DEVIATION**2).tocsr()
 
 
 def displaced_normals(normals: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -133,7 +135,7 @@ def log_irradiance(harmonics: np.ndarray, normals: np.ndarray) -> tuple[np.ndarr
     """
     direction = torch.from_numpy(normals.T.copy()).requires_grad_()
     basis = sh_basis(direction, 2)
-    value = torch.einsum("kv,vkc->vc", basis, torch.from_numpy(harmonics).to(basis)).clamp_min(DARKEST).log()
+    value = torch.einsum("kv,vkc->vc", basis, torch.from_numpy(harmonics).to(basis)).clamp_min(MIN_IRRADIANCE).log()
     slopes = [torch.autograd.grad(value[:, c].sum(), direction, retain_graph=True)[0].T for c in range(3)]
     return value.detach().numpy(), torch.stack(slopes, 1).numpy()
 
@@ -145,9 +147,9 @@ def albedo_weights(log_albedo: np.ndarray, operators: SurfaceGradient) -> np.nda
     chromaticity = ((step - luminance[:, None]) ** 2).sum(1)
     ends = abs(operators.difference).T
     energy = (ends @ chromaticity) / np.maximum(np.asarray(ends.sum(1)).ravel(), 1)
-    for _ in range(AROUND):
-        energy = energy + SPREAD * (operators.average @ energy - energy)
-    variance = STEP**2 + CHROMATICITY**2 * np.maximum(energy[operators.edges].mean(1) - NOISE**2, 0)
+    for _ in range(SPREAD_PASSES):
+        energy = energy + SPREAD_FRACTION * (operators.average @ energy - energy)
+    variance = ALBEDO_DEVIATION**2 + PAINT_LUMINANCE_RATIO**2 * np.maximum(energy[operators.edges].mean(1) - CHROMATICITY_NOISE**2, 0)
     return 1 / (variance + 3 * luminance**2)
 
 
@@ -155,21 +157,21 @@ def albedo_weights(log_albedo: np.ndarray, operators: SurfaceGradient) -> np.nda
 class _System:
     """Gauss-Newton equations of displacement (V,) and log albedo (V, 3): symmetric blocks and the negative gradient (V, 4)."""
 
-    own: sparse.csr_matrix  # displacement by displacement
+    displacement: sparse.csr_matrix  # displacement by displacement
     coupling: list[sparse.csr_matrix]  # displacement by albedo, one per colour
     albedo: sparse.csr_matrix  # albedo by albedo, the same for each colour
-    downhill: np.ndarray
+    negative_gradient: np.ndarray
 
     def solved(self, iterations: int) -> np.ndarray:
         """Return the change (V, 4) by preconditioned conjugate gradients."""
-        count = len(self.downhill)
+        count = len(self.negative_gradient)
         transposed = list(run_jobs(_transposed, [(matrix,) for matrix in self.coupling]))
         diagonal = np.repeat(self.albedo.diagonal()[:, None], 4, 1)
-        diagonal[:, 0] = self.own.diagonal()
+        diagonal[:, 0] = self.displacement.diagonal()
         diagonal = np.maximum(diagonal, 1e-9).ravel()
 
         def displacement_part(x: np.ndarray) -> np.ndarray:
-            return (self.own @ x[:, 0] + sum(matrix @ x[:, 1 + c] for c, matrix in enumerate(self.coupling)))[:, None]
+            return (self.displacement @ x[:, 0] + sum(matrix @ x[:, 1 + c] for c, matrix in enumerate(self.coupling)))[:, None]
 
         def albedo_part(x: np.ndarray) -> np.ndarray:
             return self.albedo @ x[:, 1:] + np.stack([matrix @ x[:, 0] for matrix in transposed], 1)
@@ -182,14 +184,14 @@ class _System:
         shape = (4 * count, 4 * count)
         matrix = LinearOperator(shape, matvec=product, dtype=float)  # type: ignore[call-arg]  # of the subclass that scipy chooses
         preconditioner = LinearOperator(shape, matvec=lambda flat: flat / diagonal, dtype=float)  # type: ignore[call-arg]
-        return cg(matrix, self.downhill.ravel(), rtol=TOLERANCE, maxiter=iterations, M=preconditioner)[0].reshape(count, 4)
+        return cg(matrix, self.negative_gradient.ravel(), rtol=CG_TOLERANCE, maxiter=iterations, M=preconditioner)[0].reshape(count, 4)
 
 
 def _linearised(
     surface: Surface,
     shading: DiffuseShading,
     operators: SurfaceGradient,
-    ties: sparse.csr_matrix,
+    prior: sparse.csr_matrix,
     displacement: np.ndarray,
     log_albedo: np.ndarray,
     *,
@@ -199,7 +201,7 @@ def _linearised(
     normals, length = displaced_normals(surface.normals, operators.slope(displacement))
     value, slope = log_irradiance(shading.irradiance, normals)
     residual = shading.log_radiance - log_albedo - value
-    distance = (residual**2).sum(1) * shading.precision / (3 * OUTLIER**2)
+    distance = (residual**2).sum(1) * shading.precision / (3 * CAUCHY_SCALE**2)
     weight = sparse.diags(shading.precision / (1 + distance) if robust else shading.precision)
     # The derivative by the slope of the displacement: through the normalisation, then within the tangent plane.
     slope = slope - normals[:, None] * (slope * normals[:, None]).sum(-1, keepdims=True)
@@ -207,10 +209,10 @@ def _linearised(
     channels = list(run_jobs(_coupled, [(slope[:, c], weight, operators) for c in range(3)]))
     coupling = [matrix for matrix, _ in channels]
     smooth = operators.difference.T @ sparse.diags(albedo_weights(log_albedo, operators)) @ operators.difference
-    first = np.asarray(sum(matrix @ residual[:, c] for c, matrix in enumerate(coupling))) - ties @ displacement
-    downhill = np.concatenate([first[:, None], weight @ residual - smooth @ log_albedo], 1)
-    own = ties + sum(curvature for _, curvature in channels)
-    return _System(own.tocsr(), coupling, (smooth + weight).tocsr(), downhill)
+    first = np.asarray(sum(matrix @ residual[:, c] for c, matrix in enumerate(coupling))) - prior @ displacement
+    negative_gradient = np.concatenate([first[:, None], weight @ residual - smooth @ log_albedo], 1)
+    curvature = prior + sum(block for _, block in channels)
+    return _System(curvature.tocsr(), coupling, (smooth + weight).tocsr(), negative_gradient)
 
 
 def _coupled(slope: np.ndarray, weight: sparse.dia_matrix, operators: SurfaceGradient) -> tuple[sparse.csr_matrix, sparse.csr_matrix]:

@@ -38,10 +38,10 @@ def random_normals(count: int) -> torch.Tensor:
 def test_the_irradiance_is_exact_at_the_own_normal_and_close_at_others():
     light = torch.rand(2 * HEIGHT**2, 3, generator=torch.Generator().manual_seed(1)) + 0.5
     given = solver(random_normals(20), light, 0.5)
-    harmonics, openness = point_irradiance(given)
+    harmonics, irradiance_fraction = point_irradiance(given)
     own = np.einsum("kp,pkc->pc", sh_basis(given.samples.normal.T.double(), 2).numpy(), harmonics)
     assert own == pytest.approx((given.transfer.irradiance @ light).numpy(), rel=1e-4)
-    assert openness.numpy() == pytest.approx(0.5, rel=1e-4)
+    assert irradiance_fraction.numpy() == pytest.approx(0.5, rel=1e-4)
     other = -given.samples.normal
     seen = np.einsum("kp,pkc->pc", sh_basis(other.T.double(), 2).numpy(), harmonics)
     assert seen == pytest.approx((solver(other, light, 0.5).transfer.irradiance @ light).numpy(), rel=0.15)

@@ -22,12 +22,12 @@ def ball(monkeypatch):
     true, random = np.asarray(mesh.vertices), np.random.default_rng(0)
     wrong = unit(true + 0.15 * np.sin(3 * true[:, [1, 2, 0]]) + 0.03 * random.normal(size=true.shape))
 
-    def sample(position, normal, views, *rest, device):
+    def sample(position, normal, views, *rest, most):
         seen = photographed(transport(position, position), position, position)[0]
         return replace(seen, normal=torch.from_numpy(normal)), torch.arange(len(position))
 
     monkeypatch.setattr(module, "sample_views", sample)
-    monkeypatch.setattr(module, "trace_radiance_transfer", lambda position, *rest: transport(position.numpy(), position.numpy()))
+    monkeypatch.setattr(module, "trace_radiance_transfer", lambda position, *rest, **options: transport(position.numpy(), position.numpy()))
     points = torch.from_numpy(true).float()
     solver = SimpleNamespace(
         samples=SimpleNamespace(position=points, normal=torch.from_numpy(wrong).float()),

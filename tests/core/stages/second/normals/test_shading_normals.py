@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 from irgspp.core.scene.surface import Surface
 from irgspp.core.stages.second.normals.shading_normals import (
-    LARGEST_SLOPE,
-    SLOPE,
+    MAX_SLOPE_DEVIATION,
+    SLOPE_DEVIATION,
     DiffuseShading,
     fit_normals,
     log_irradiance,
@@ -92,7 +92,7 @@ def test_unseen_vertices_keep_their_normals():
 
 
 def test_strong_relief_loosens_its_own_prior():
-    assert slope_deviation(np.full((10, 3), 1e-3)) == SLOPE
-    assert slope_deviation(np.full((10, 3), 10.0)) == LARGEST_SLOPE
-    assert SLOPE < slope_deviation(np.full((10, 3), 0.04)) < LARGEST_SLOPE
-    assert slope_deviation(np.zeros((0, 3))) == SLOPE
+    assert slope_deviation(np.full((10, 3), 1e-3)) == SLOPE_DEVIATION
+    assert slope_deviation(np.full((10, 3), 10.0)) == MAX_SLOPE_DEVIATION
+    assert SLOPE_DEVIATION < slope_deviation(np.full((10, 3), 0.04)) < MAX_SLOPE_DEVIATION
+    assert slope_deviation(np.zeros((0, 3))) == SLOPE_DEVIATION
