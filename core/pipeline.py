@@ -40,7 +40,7 @@ from .settings.sizes import with_sizes
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.pixel_rays import with_needed_rays
 from .stages.common.preview import surface_shape
-from .stages.common.time_budget import FUSED
+from .stages.common.time_budget import AFTER_FUSION_RATIO
 from .stages.first.quick_fit import quick_renderings
 from .stages.first.train import train
 from .stages.phase_results import FIRST_STAGE, GEOMETRY, MASKS, UNWRAP, PhaseResults
@@ -212,7 +212,7 @@ class Job:
 
     def second_stage(self) -> None:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
-        deadline = None if self.deadline is None else self.deadline - FUSED * self.folder.seconds("geometry")
+        deadline = None if self.deadline is None else self.deadline - AFTER_FUSION_RATIO * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
             mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texture

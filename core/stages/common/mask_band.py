@@ -16,9 +16,10 @@ from ...io.grown_mask import grown_mask
 from ...io.srgb import decode_srgb
 from ...scene.dataset import View
 
-INSIDE = 0.5  # opacity from which a mask says that a pixel is the object
-NEAR = 1.0  # sigma of the window from which the background is continued, in widths of the band; doubled until it reaches all of the band
-DOUBLED = 6  # windows
+MIN_OBJECT_OPACITY = 0.5  # opacity from which a mask says that a pixel is the object
+# Sigma of the window from which the background is continued, in widths of the band; doubled until it reaches all of the band.
+WINDOW_SIGMA = 1.0
+MAX_WINDOWS = 6  # windows
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +51,7 @@ def find_mask_band(view: View) -> MaskBand | None:
     """Return the band of a view's mask; None without a mask, or where it is exact."""
     if view.alpha is None or round(view.mask_error) < 1:
         return None
-    outside = widest_mask(view) < INSIDE
-    band = ~outside & (narrowest_mask(view) < INSIDE)
-    background = continued_colour(decode_srgb(view.colour), outside, NEAR * 2 * view.mask_error, DOUBLED, band)
+    outside = widest_mask(view) < MIN_OBJECT_OPACITY
+    band = ~outside & (narrowest_mask(view) < MIN_OBJECT_OPACITY)
+    background = continued_colour(decode_srgb(view.colour), outside, WINDOW_SIGMA * 2 * view.mask_error, MAX_WINDOWS, band)
     return MaskBand(band, np.where(band[..., None], background, 0).astype(np.float32))

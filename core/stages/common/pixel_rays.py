@@ -10,7 +10,7 @@ from ...scene.dataset import Dataset
 from ...settings.schema import Settings
 from .skip_rules import decide_skip_rule
 
-FINE = 1.5  # surfels per pixel of the object, from which several rays per pixel pay: at 1.4 they no longer do
+MIN_SURFELS_PER_PIXEL = 1.5  # surfels per pixel of the object, from which several rays per pixel pay: at 1.4 they no longer do
 
 
 def with_needed_rays(settings: Settings, dataset: Dataset, progress: Progress) -> Settings:
@@ -28,6 +28,6 @@ def with_needed_rays(settings: Settings, dataset: Dataset, progress: Progress) -
         return settings
     density = settings.first.gaussians / max(1.0, dataset.object_pixels)
     evidence = f"{density:.2g} surfels per pixel of the object"
-    if not decide_skip_rule(settings.skip, "subpixels", density < FINE, evidence, progress):
+    if not decide_skip_rule(settings.skip, "subpixels", density < MIN_SURFELS_PER_PIXEL, evidence, progress):
         return settings
     return replace(settings, first=replace(settings.first, subpixels=1))

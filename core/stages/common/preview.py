@@ -16,14 +16,14 @@ from ...scene.reconstruction import Reconstruction
 from ...scene.spherical_harmonics import SH_C0
 from ...scene.surface import Surface
 
-LONGEST = 256  # pixels along the longer side
-MOST_POINTS = 10_000  # of a shape
-OPAQUE = 0.5  # least opacity of a surfel that is shown as a point
+MAX_IMAGE_SIDE = 256  # pixels along the longer side
+MAX_POINTS = 10_000  # of a shape
+MIN_OPACITY = 0.5  # least opacity of a surfel that is shown as a point
 
 
 def preview_camera(camera: Camera) -> Camera:
-    """Return the camera with an image of at most LONGEST pixels along a side."""
-    factor = LONGEST / max(camera.width, camera.height, LONGEST)
+    """Return the camera with an image of at most MAX_IMAGE_SIDE pixels along a side."""
+    factor = MAX_IMAGE_SIDE / max(camera.width, camera.height, MAX_IMAGE_SIDE)
     return camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
 
 
@@ -53,8 +53,8 @@ def points_shape(gaussians: Gaussians, dataset: Dataset) -> dict[str, np.ndarray
     """
     position, centre = gaussians.position.detach().cpu(), torch.tensor(dataset.bound.centre)
     inside = (position.T - centre).norm(dim=1) < dataset.bound.radius
-    shown = torch.nonzero(inside & (gaussians.opacity.detach().cpu().sigmoid() > OPAQUE))[:, 0]
-    shown = shown[:: -(-len(shown) // MOST_POINTS) or 1]
+    shown = torch.nonzero(inside & (gaussians.opacity.detach().cpu().sigmoid() > MIN_OPACITY))[:, 0]
+    shown = shown[:: -(-len(shown) // MAX_POINTS) or 1]
     radiance = (SH_C0 * gaussians.sh[0].detach().cpu()[:, shown] + 0.5).clamp(0, 1).T.numpy()
     return {"position": position.T[shown].contiguous().numpy(), "colour": encode_srgb(radiance).astype(np.float32), **_frame(dataset)}
 

@@ -22,11 +22,11 @@ from ...settings.schema import Settings
 MEASURED_STEPS = 20  # steps whose median duration is taken as the cost of a step
 # Mean cost of a first-stage step over its cost at the start: SH degrees are added over time, and with several rays per pixel those.
 STEP_COST_GROWTH, STEP_COST_GROWTH_SINGLE = 1.4, 1.1
-FUSED = 1.2  # duration of the phases after the second stage over that of the surface fusion
-SMALLEST_SCALE = 0.1  # of the preset's schedules
+AFTER_FUSION_RATIO = 1.2  # duration of the phases after the second stage over that of the surface fusion
+MIN_SCALE = 0.1  # of the preset's schedules
 # Longer schedules were measured to fit the images' noise: normals, albedo and relit images get worse again.
-FIRST_STAGE_MOST_STEPS = 4500  # unless the preset has more
-SECOND_STAGE_LARGEST_SCALE = 5.0  # of the preset's schedules
+MAX_FIRST_STAGE_STEPS = 4500  # unless the preset has more
+MAX_SECOND_STAGE_SCALE = 5.0  # of the preset's schedules
 
 
 class Schedulable(Protocol):
@@ -103,12 +103,12 @@ def first_stage_schedule_scale(settings: Settings, data: Dataset, seconds: float
     speed = mean / step_seconds(settings, data)
     preset = settings.first.iterations * mean + speed * schedule_seconds(settings, data)
     scale = (seconds - speed * fixed_seconds(settings, data)) / preset
-    return min(max(scale, SMALLEST_SCALE), first_stage_largest_scale(settings.first.iterations))
+    return min(max(scale, MIN_SCALE), first_stage_largest_scale(settings.first.iterations))
 
 
 def first_stage_largest_scale(iterations: int) -> float:
     """Return the largest value of `first_stage_schedule_scale` for a preset of `iterations` steps, however much time there is."""
-    return max(1.0, FIRST_STAGE_MOST_STEPS / iterations)
+    return max(1.0, MAX_FIRST_STAGE_STEPS / iterations)
 
 
 def second_stage_schedule_scale(settings: Settings, data: Dataset, seconds: float, step: float) -> float:
@@ -121,7 +121,7 @@ def second_stage_schedule_scale(settings: Settings, data: Dataset, seconds: floa
         step: measured seconds per step of the refinement.
     """
     preset = step / refinement_step_seconds(settings) * schedule_seconds(settings, data)
-    return min(max(seconds / preset, SMALLEST_SCALE), SECOND_STAGE_LARGEST_SCALE) if preset > 0 else 1.0
+    return min(max(seconds / preset, MIN_SCALE), MAX_SECOND_STAGE_SCALE) if preset > 0 else 1.0
 
 
 def joint_schedule_scale(iterations: int, seconds: float, step: float) -> float:

@@ -13,9 +13,9 @@ from ...scene.camera import Camera
 from ...scene.dataset import View
 from .mask_band import find_mask_band
 
-MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
+CROP_MARGIN = 12  # pixels around the object: SSIM's window reaches 5 pixels, and what is rendered beyond the mask's edge must count
 BAND_WEIGHT = 0.7  # weight of the mask where it may be wrong, against 1 elsewhere; with less, surfels paint what lies beside the object
-SATURATED = 0.996  # encoded value from which a pixel is a lower bound of the radiance
+MIN_SATURATED = 0.996  # encoded value from which a pixel is a lower bound of the radiance
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,14 +117,14 @@ def _layers(view: View) -> dict[str, torch.Tensor]:
     """Return the image layers (C, H, W) of a view that `TrainingView` describes; those that it does not have are missing."""
     colour = torch.from_numpy(view.colour).permute(2, 0, 1).clamp(0, 1)
     if view.alpha is None:
-        return {"image": colour, "saturated": colour >= SATURATED}
+        return {"image": colour, "saturated": colour >= MIN_SATURATED}
     alpha, band = torch.from_numpy(view.alpha)[None], find_mask_band(view)
     if band is None:
-        return {"image": colour * alpha, "saturated": (colour >= SATURATED) & (alpha > 0.5), "alpha": alpha}
+        return {"image": colour * alpha, "saturated": (colour >= MIN_SATURATED) & (alpha > 0.5), "alpha": alpha}
     pixels = torch.from_numpy(band.pixels)[None]
     return {
         "image": torch.where(pixels, colour, colour * alpha),
-        "saturated": (colour >= SATURATED) & (pixels | (alpha > 0.5)),
+        "saturated": (colour >= MIN_SATURATED) & (pixels | (alpha > 0.5)),
         "alpha": alpha,
         "band": pixels,
         "background": torch.from_numpy(band.background).permute(2, 0, 1),
@@ -132,12 +132,14 @@ def _layers(view: View) -> dict[str, torch.Tensor]:
 
 
 def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
-    """Return rows and columns of the smallest box around all non-zero pixels of a mask (H, W), with MARGIN; all where it is empty."""
+    """Return rows and columns of the smallest box around all non-zero pixels of a mask (H, W), with CROP_MARGIN; all where it is empty."""
     box = []
     for axis in (1, 0):
         filled = torch.nonzero(alpha.amax(axis) > 0)[:, 0]
         length = alpha.shape[1 - axis]
-        box.append(slice(max(0, int(filled[0]) - MARGIN), min(length, int(filled[-1]) + 1 + MARGIN)) if len(filled) else slice(0, length))
+        box.append(
+            slice(max(0, int(filled[0]) - CROP_MARGIN), min(length, int(filled[-1]) + 1 + CROP_MARGIN)) if len(filled) else slice(0, length)
+        )
     return box[0], box[1]
 
 

@@ -18,13 +18,13 @@ from ...scene.dataset import Dataset
 from ...stereo.depth_map import DepthMap
 from ...stereo.settings import StereoSettings
 from .depth_evidence import DepthEvidence
-from .stereo_initialization import COMPARED, SUPPORT
+from .stereo_initialization import COMPARED_VIEWS, MIN_SUPPORT_MASKED
 
-BETTER = 0.8  # reprojection error at stereo's depth over that at the surfels', below which stereo's is taken
-APART = 1.0  # pixels of parallax between the two depths of a region, from which they differ by more than noise
-WORTH = 0.003  # fraction of the object's pixels below which none is kept: chance finds 0.001 of them on smooth objects
-FAR = 3.0  # pixels of parallax at which a difference counts half
-FLOOR = 1e-3  # smallest opacity that depths are divided by
+MAX_ERROR_RATIO = 0.8  # reprojection error at stereo's depth over that at the surfels', below which stereo's is taken
+MIN_PARALLAX = 1.0  # pixels of parallax between the two depths of a region, from which they differ by more than noise
+MIN_ANCHOR_SHARE = 0.003  # fraction of the object's pixels below which none is kept: chance finds 0.001 of them on smooth objects
+HALF_LOSS_PARALLAX = 3.0  # pixels of parallax at which a difference counts half
+MIN_OPACITY = 1e-3  # smallest opacity that depths are divided by
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class DepthAnchors:
         begin: (V + 1,) int64; view i has the anchors begin[i] to begin[i + 1].
         pixel: (K,) int32 row times width plus column in the uncropped photograph.
         depth: (K,) float32 planar depth, world units.
-        witnesses: (V, COMPARED) int64 views that each view is compared with, -1 for none.
+        witnesses: (V, COMPARED_VIEWS) int64 views that each view is compared with, -1 for none.
         chosen: True after `choose`; there is no loss before.
     """
 
@@ -48,21 +48,21 @@ class DepthAnchors:
     @classmethod
     def of_maps(cls, maps: Sequence[DepthMap]) -> DepthAnchors:
         """Collect the depths of stereo that enough views agree on for a start on them, from a depth map for each training view."""
-        pixels = [np.flatnonzero(one.support >= SUPPORT[True]) for one in maps]
+        pixels = [np.flatnonzero(one.support >= MIN_SUPPORT_MASKED) for one in maps]
         depth = np.concatenate([one.depth.reshape(-1)[pixel] for one, pixel in zip(maps, pixels, strict=True)])
         begin = np.concatenate([[0], np.cumsum([len(pixel) for pixel in pixels])])
-        witnesses = np.full((len(maps), COMPARED), -1)
+        witnesses = np.full((len(maps), COMPARED_VIEWS), -1)
         for row, one in zip(witnesses, maps, strict=True):
-            row[: len(one.witnesses[:COMPARED])] = one.witnesses[:COMPARED]
+            row[: len(one.witnesses[:COMPARED_VIEWS])] = one.witnesses[:COMPARED_VIEWS]
         begin, pixel = torch.from_numpy(begin), torch.from_numpy(np.concatenate(pixels).astype(np.int32))
         return cls(begin, pixel, torch.from_numpy(depth), torch.from_numpy(witnesses))
 
     def choose(self, dataset: Dataset, depths: Sequence[np.ndarray]) -> DepthAnchors:
         """Keep the anchors in regions where stereo explains the photographs better than the surfels do.
 
-        There the reprojection error is below BETTER times the surfels', and below what is typical of stereo on this object: a reflection
-        matches at the depth of its virtual image, but worse than a matt surface does. The depths differ by more than APART. If less than
-        WORTH of the object is found, none is kept.
+        There the reprojection error is below MAX_ERROR_RATIO times the surfels', and below what is typical of stereo on this object: a
+        reflection matches at the depth of its virtual image, but worse than a matt surface does. The depths differ by more than
+        MIN_PARALLAX. If less than MIN_ANCHOR_SHARE of the object is found, none is kept.
 
         Args:
             dataset: training views with masks.
@@ -76,9 +76,9 @@ class DepthAnchors:
             pixel, depth = self._of(i)
             rays = view.camera.rays().reshape(-1, 3)[pixel].astype(np.float64)
             points = view.camera.centre + depth[:, None].numpy() * rays
-            better = (evidence.ratio(points) < BETTER) & (evidence.error(points) < typical)
-            kept.append(better & (evidence.distance(points) > APART) & (own.reshape(-1)[pixel] > 0))
-        if sum(int(one.sum()) for one in kept) < WORTH * sum(int((own > 0).sum()) for own in depths):
+            better = (evidence.ratio(points) < MAX_ERROR_RATIO) & (evidence.error(points) < typical)
+            kept.append(better & (evidence.distance(points) > MIN_PARALLAX) & (own.reshape(-1)[pixel] > 0))
+        if sum(int(one.sum()) for one in kept) < MIN_ANCHOR_SHARE * sum(int((own > 0).sum()) for own in depths):
             kept = [np.zeros_like(one) for one in kept]
         begin = np.concatenate([[0], np.cumsum([one.sum() for one in kept])])
         keep = torch.from_numpy(np.concatenate(kept))
@@ -97,7 +97,7 @@ class DepthAnchors:
         return copy.reshape(depth.shape)
 
     def loss(self, view: int, sums: torch.Tensor, camera: Camera, full: Camera) -> torch.Tensor:
-        """Compute the anchors' loss of a rendered view: the mean over all pixels of d / (1 + d / FAR), d the parallax to the anchor.
+        """Compute the anchors' loss of a rendered view: the mean of d / (1 + d / HALF_LOSS_PARALLAX), d the parallax to the anchor.
 
         Args:
             view: index of the training view.
@@ -108,9 +108,9 @@ class DepthAnchors:
         pixel, anchored = (part.to(sums.device) for part in self._of(view))
         row = pixel // full.width - round(full.cy - camera.cy)
         column = pixel % full.width - round(full.cx - camera.cx)
-        depth = sums[-2, row, column] / sums[-1, row, column].clamp_min(FLOOR)
+        depth = sums[-2, row, column] / sums[-1, row, column].clamp_min(MIN_OPACITY)
         parallax = (depth - anchored).abs() * (full.fx / anchored)
-        return (parallax / (1 + parallax / FAR)).sum() / (full.width * full.height)
+        return (parallax / (1 + parallax / HALF_LOSS_PARALLAX)).sum() / (full.width * full.height)
 
     def state(self) -> dict[str, Any]:
         """Return the anchors for a checkpoint."""
@@ -122,7 +122,7 @@ class DepthAnchors:
         one = cls(**state)
         views, count = len(dataset.train), len(one.pixel)
         types = (one.begin.dtype, one.pixel.dtype, one.depth.dtype, one.witnesses.dtype, type(one.chosen))
-        fits = types == (torch.int64, torch.int32, torch.float32, torch.int64, bool) and one.witnesses.shape == (views, COMPARED)
+        fits = types == (torch.int64, torch.int32, torch.float32, torch.int64, bool) and one.witnesses.shape == (views, COMPARED_VIEWS)
         fits = fits and one.begin.shape == (views + 1,) and one.pixel.shape == one.depth.shape == (count,)
         fits = fits and bool((one.begin.diff() >= 0).all()) and one.begin[[0, -1]].tolist() == [0, count]
         fits = fits and bool(((one.witnesses >= -1) & (one.witnesses < views)).all() and (one.depth > 0).all())

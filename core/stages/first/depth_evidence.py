@@ -16,10 +16,10 @@ from scipy.ndimage import gaussian_filter
 from ...scene.dataset import Bound, View
 from ...stereo.reprojection import reprojection_errors
 
-CELL = 0.02  # side of a voxel in radii of the bound
-BLUR = 1.5  # standard deviation, in voxels, of the blur that turns voxels into regions
-EMPTY = 1e-9  # least count that sums are divided by
-INNER = 0.95  # alpha from which a pixel is compared
+VOXEL_SIDE = 0.02  # side of a voxel in radii of the bound
+BLUR_VOXELS = 1.5  # standard deviation, in voxels, of the blur that turns voxels into regions
+MIN_COUNT = 1e-9  # least count that sums are divided by
+MIN_ALPHA = 0.95  # alpha from which a pixel is compared
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,11 +59,11 @@ class DepthEvidence:
             relative: see `reprojection_errors`.
         """
         errors = [reprojection_errors(views, one, sources, relative) for one in depths]
-        count = int(np.ceil(2 / CELL)) + 1
+        count = int(np.ceil(2 / VOXEL_SIDE)) + 1
         sums = np.zeros((5, count, count, count))
         for i, view in enumerate(views):
             assert view.alpha is not None
-            valid = np.isfinite(errors[0][i]) & np.isfinite(errors[1][i]) & (view.alpha > INNER)
+            valid = np.isfinite(errors[0][i]) & np.isfinite(errors[1][i]) & (view.alpha > MIN_ALPHA)
             rays = view.camera.rays()[valid].astype(np.float64)
             own, other = (one[i][valid] for one in depths)
             shift = view.camera.fx * (other - own) / own
@@ -72,8 +72,8 @@ class DepthEvidence:
                 cells = tuple(_cells(view.camera.centre + depth[:, None] * rays, bound, count).T)
                 for total, value in zip(sums, values, strict=True):
                     np.add.at(total, cells, value)
-        first, second, compared, shift, moved = (gaussian_filter(total, BLUR).astype(np.float32) for total in sums)
-        return cls(bound, first, second, compared, np.abs(shift) / np.maximum(moved, EMPTY))
+        first, second, compared, shift, moved = (gaussian_filter(total, BLUR_VOXELS).astype(np.float32) for total in sums)
+        return cls(bound, first, second, compared, np.abs(shift) / np.maximum(moved, MIN_COUNT))
 
     def ratio(self, points: np.ndarray) -> np.ndarray:
         """Return the second surface's error over the first's around points (N, 3), as (N,); 1 where nothing was compared."""
@@ -84,7 +84,7 @@ class DepthEvidence:
     def error(self, points: np.ndarray) -> np.ndarray:
         """Return the second surface's mean error around points (N, 3), as (N,); 0 where nothing was compared."""
         cells = tuple(_cells(points, self.bound, len(self.first)).T)
-        return self.second[cells] / np.maximum(self.count[cells], EMPTY)
+        return self.second[cells] / np.maximum(self.count[cells], MIN_COUNT)
 
     def typical_error(self) -> float:
         """Return the median over the voxels of the second surface's mean error."""
@@ -98,5 +98,5 @@ class DepthEvidence:
 
 def _cells(points: np.ndarray, bound: Bound, count: int) -> np.ndarray:
     """Return the voxels (N, 3) of points (N, 3), those outside at the border."""
-    place = ((points - np.asarray(bound.centre)) / bound.radius + 1) / CELL
+    place = ((points - np.asarray(bound.centre)) / bound.radius + 1) / VOXEL_SIDE
     return np.clip(np.round(place).astype(int), 0, count - 1)

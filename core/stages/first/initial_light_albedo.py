@@ -26,11 +26,11 @@ from ..common.nearest_neighbours import nearest_neighbours
 
 LIGHT_HEIGHT = 16  # rows of the fitted light map
 STEPS = 200  # of Adam: half of them fit the light under a constant albedo, the others both
-SAMPLE = 8000  # Gaussians that the light is fitted to, at most
+MAX_FITTED_GAUSSIANS = 8000  # Gaussians that the light is fitted to, at most
 ALBEDO_RANGE = (0.03, 0.97)  # of the diffuse albedo that follows from the light
 SMOOTHNESS = 0.02  # weight of the difference of log albedo between neighbours of similar colour
 LIGHT_PRIOR = 1e-3  # weight of the squared difference of the log light from its mean
-LIGHT_RATE, ALBEDO_RATE, FINAL = 0.1, 0.05, 0.1  # learning rates of the logarithms, and factor of both at the end
+LIGHT_RATE, ALBEDO_RATE, FINAL_RATE_FACTOR = 0.1, 0.05, 0.1  # learning rates of the logarithms, and factor of both at the end
 
 
 def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequence[View] = ()) -> Reconstruction:
@@ -56,7 +56,7 @@ def estimate_light_albedo(reconstruction: Reconstruction, seed: int, views: Sequ
     solid = torch.nonzero(g.opacity.sigmoid() > 0.5)[:, 0]
     if not len(solid):
         return reconstruction
-    pick = solid[torch.randperm(len(solid), generator=torch.Generator().manual_seed(seed))[:SAMPLE]]
+    pick = solid[torch.randperm(len(solid), generator=torch.Generator().manual_seed(seed))[:MAX_FITTED_GAUSSIANS]]
     if not reconstruction.has_split_sum:
         light = _fit_light(normal[pick], seen[pick], g.position.T[pick])
         reconstruction.environment = resampled_light(light, reconstruction.environment.shape[0])
@@ -76,8 +76,8 @@ def _fit_light(normal: torch.Tensor, seen: torch.Tensor, position: torch.Tensor)
     log_albedo = torch.full_like(seen, math.log(0.5)).requires_grad_()
     adam = Adam([{"params": [log_light], "lr": LIGHT_RATE}, {"params": [log_albedo], "lr": 0.0}], fused=True)
     for step in range(STEPS):
-        adam.param_groups[0]["lr"] = LIGHT_RATE * FINAL ** (step / STEPS)
-        adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else ALBEDO_RATE * FINAL ** (step / STEPS)
+        adam.param_groups[0]["lr"] = LIGHT_RATE * FINAL_RATE_FACTOR ** (step / STEPS)
+        adam.param_groups[1]["lr"] = 0.0 if step < STEPS // 2 else ALBEDO_RATE * FINAL_RATE_FACTOR ** (step / STEPS)
         albedo = log_albedo.exp()
         predicted = albedo * lookup(diffuse_light(log_light.exp()), normal)
         # gather, not [neighbours]: the gradient of indexing is summed in an order that depends on the threads.

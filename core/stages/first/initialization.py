@@ -14,14 +14,14 @@ from ...scene.gaussians import Gaussians, surfels
 from .visual_hull import visual_hull
 
 OPACITY = 0.7  # of surfels on a surface
-FAINT = 0.1  # of surfels on sparse points and at random places, where there may be no surface
-SURROUNDINGS = 5.0  # largest distance of random points from the bound's centre, in radii of the bound; behind far cameras more
-BEHIND = 1.2  # least distance of those on the cameras' side, in median distances of the cameras
-ASIDE = math.cos(math.radians(45))  # angle to a camera at the bound's centre up to which a point is on the cameras' side
+FAINT_OPACITY = 0.1  # of surfels on sparse points and at random places, where there may be no surface
+MAX_SURROUNDINGS_RADII = 5.0  # largest distance of random points from the bound's centre, in radii of the bound; behind far cameras more
+MIN_CAMERA_DISTANCES = 1.2  # least distance of those on the cameras' side, in median distances of the cameras
+CAMERA_SIDE_COSINE = math.cos(math.radians(45))  # angle to a camera at the bound's centre up to which a point is on the cameras' side
 SURFACE_SPREAD = 0.92  # scale of a surfel over the spacing of points that cover a surface evenly
 SPARSE_SPREAD = 0.65  # scale of a surfel over the distance to its neighbours among points in space
 NEIGHBOURS = 16  # of a point that tell its surface's spacing
-FACING = 0.2  # cosine between normal and view from which a view's colour counts
+MIN_FACING_COSINE = 0.2  # cosine between normal and view from which a view's colour counts
 
 
 def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -40,7 +40,7 @@ def observed_colour(views: list[View], points: np.ndarray, normals: np.ndarray) 
         pixel, depth = view.camera.project(points)
         to_camera = view.camera.centre - points
         cosine = (to_camera * normals).sum(1) / np.linalg.norm(to_camera, axis=1)
-        visible = view.camera.in_image(pixel, depth) & (cosine > FACING)
+        visible = view.camera.in_image(pixel, depth) & (cosine > MIN_FACING_COSINE)
         column, row = pixel[visible].astype(int).T
         total[visible] += cosine[visible, None] * view.colour[row, column]
         weight[visible] += cosine[visible, None]
@@ -79,7 +79,7 @@ def from_points(dataset: Dataset, count: int, rng: np.random.Generator) -> Gauss
     filler, facing = random_points(dataset, max(count // 2 - len(known), 0), rng)
     points, normals = np.concatenate([known, filler]), np.concatenate([towards_cameras(dataset, known), facing])
     colour = np.concatenate([colours, observed_colour(dataset.train, filler, facing)])
-    return surfels(points, normals, colour, SPARSE_SPREAD * neighbour_distance(points, dataset.bound.radius), FAINT)
+    return surfels(points, normals, colour, SPARSE_SPREAD * neighbour_distance(points, dataset.bound.radius), FAINT_OPACITY)
 
 
 def neighbour_distance(points: np.ndarray, radius: float) -> np.ndarray:
@@ -116,9 +116,9 @@ def random_points(dataset: Dataset, count: int, rng: np.random.Generator) -> tup
     distance = np.linalg.norm(cameras - centre, axis=1)
     # Every other point lies around the object, log-uniform in distance, to represent the background. On the cameras' side of the object it
     # lies behind them: before a new camera among them it would cover the image.
-    facing = (direction @ ((cameras - centre) / distance[:, None]).T).max(1) > ASIDE
-    nearest = np.where(facing, max(1.0, BEHIND * float(np.median(distance)) / radius), 1.0)
-    farthest = np.maximum(SURROUNDINGS, 2 * nearest)
+    facing = (direction @ ((cameras - centre) / distance[:, None]).T).max(1) > CAMERA_SIDE_COSINE
+    nearest = np.where(facing, max(1.0, MIN_CAMERA_DISTANCES * float(np.median(distance)) / radius), 1.0)
+    farthest = np.maximum(MAX_SURROUNDINGS_RADII, 2 * nearest)
     inner = rng.random(count) ** (1 / 3)
     outer = nearest * (farthest / nearest) ** rng.random(count)
     points = centre + direction * radius * np.where(np.arange(count) % 2 == 0, inner, outer)[:, None]

@@ -12,14 +12,14 @@ from ...settings.schema import Settings
 from ..common.skip_rules import decide_skip_rule
 from .checkpoint_state import invalid_checkpoint
 from .material_class import GLOSSY, LOW_GLOSS, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
-from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials
 
 # dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains
 # some of the matt shading that changes with the turns (0.7 dB on a dielectric of roughness 0.45), for which SH need more than a brief fit.
-TURNING = 1.0
+TURNING_LIGHT_MARGIN = 1.0
 # dB by which metal must be better than low-gloss to be chosen where glossy is about as good: it is by 3.2 to 5.4 on four metal objects. Of
 # thirteen others, glossy is as good only on a resin skull under the camera's flash, where metal is better than low-gloss by .6.
-REFLECTING = 2.0
+MIN_METAL_GAIN = 2.0
 
 
 def select_material_class(
@@ -28,8 +28,8 @@ def select_material_class(
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
     Glossy is the rule: SH that explain all shading fit a brief trial as well, but leave worse normals and materials in the end. So
-    low-gloss must be better by `first.trial_margin` dB, and so must metal, unless the object clearly reflects, see REFLECTING: there
-    glossy is free to fit as well with a coat as with metal. Where the light turns, glossy must be better, see TURNING.
+    low-gloss must be better by `first.trial_margin` dB, and so must metal, unless the object clearly reflects, see MIN_METAL_GAIN: there
+    glossy is free to fit as well with a coat as with metal. Where the light turns, glossy must be better, see TURNING_LIGHT_MARGIN.
     Where no view can be held back, or no mask separates the object from its background, the first of the allowed classes is returned.
 
     Args:
@@ -49,7 +49,7 @@ def select_material_class(
     if not dataset.has_alpha:
         progress.message(f"materials: {classes[0].name}; without masks the background would be taken for reflections")
         return material_class_named(classes[0].name, dataset)
-    if len(classes) == 1 or len(dataset.train) < HOLD_BACK_FROM:
+    if len(classes) == 1 or len(dataset.train) < MIN_HOLD_BACK_VIEWS:
         return classes[0]
     # The same geometry rates for all: the shading models are compared, not the rates.
     fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, GLOSSY), crop) for m in classes}
@@ -70,7 +70,7 @@ def _margins(margin: float, turns: bool) -> dict[str, float]:
         margin: the setting `first.trial_margin`.
         turns: the light turns.
     """
-    return dict.fromkeys((GLOSSY.name, METAL.name), margin + TURNING) if turns else {GLOSSY.name: -margin, METAL.name: margin}
+    return dict.fromkeys((GLOSSY.name, METAL.name), margin + TURNING_LIGHT_MARGIN) if turns else {GLOSSY.name: -margin, METAL.name: margin}
 
 
 def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> str:
@@ -90,9 +90,9 @@ def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> 
 
 
 def _clearly_reflects(score: dict[str, float], margin: float) -> bool:
-    """Return True where metal is at most `margin` dB worse than glossy, and better than low-gloss by more than REFLECTING."""
+    """Return True where metal is at most `margin` dB worse than glossy, and better than low-gloss by more than MIN_METAL_GAIN."""
     metal, matt = score.get(METAL.name, -math.inf), score.get(LOW_GLOSS.name, math.inf)
-    return metal > score[GLOSSY.name] - margin and metal > matt + REFLECTING
+    return metal > score[GLOSSY.name] - margin and metal > matt + MIN_METAL_GAIN
 
 
 def _choice_in_words(score: dict[str, float], chosen: str, margins: dict[str, float]) -> str:

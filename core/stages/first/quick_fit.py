@@ -18,7 +18,7 @@ from .material_class import LOW_GLOSS
 from .trainer import Trainer
 
 SURFELS, ITERATIONS = 10_000, 250  # of the fit
-LONGEST = 320  # longest side of the images, pixels
+MAX_IMAGE_SIDE = 320  # longest side of the images, pixels
 
 
 def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -38,7 +38,7 @@ def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -
     torch.manual_seed(settings.seed)
     brief = replace(settings.first, iterations=ITERATIONS, gaussians=SURFELS)
     camera = dataset.train[0].camera
-    reduction = max(1, round(max(camera.width, camera.height) / LONGEST))
+    reduction = max(1, round(max(camera.width, camera.height) / MAX_IMAGE_SIDE))
     start = initial_gaussians(dataset, SURFELS, np.random.default_rng(settings.seed))
     trainer = Trainer(dataset, brief, start, LOW_GLOSS, settings.seed, 0, reduction, crop=True)
     progress.phase("quick fit", ITERATIONS)

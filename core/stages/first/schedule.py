@@ -9,7 +9,7 @@ from ...settings.schema import FirstStageSettings
 from ..common.image_loss import LossWeights
 
 ANCHORS_FROM = 0.3  # of the schedule: surfels have found the places that the photographs alone lead them to
-EDGE = 0.2  # disagreement of normals, 1 - cosine, that counts half while edges are open: about 37 degrees
+OPEN_EDGE_DISAGREEMENT = 0.2  # disagreement of normals, 1 - cosine, that counts half while edges are open: about 37 degrees
 
 
 def sh_degree(settings: FirstStageSettings, done: int) -> int:
@@ -29,7 +29,7 @@ def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
     Normal consistency in full fills corners and gaps between parts, where the depth's normals are a mean of both sides. While edges are
     open they stay free, but reflections then roughen metal parts, so that edges are not open by default.
     """
-    edge = EDGE if done < settings.open_edges * settings.iterations else math.inf
+    edge = OPEN_EDGE_DISAGREEMENT if done < settings.open_edges * settings.iterations else math.inf
     return LossWeights(settings.mask_weight, settings.normal_weight, edge)
 
 

@@ -12,7 +12,7 @@ from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
 from .material_class import GLOSSY, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import StereoStart, from_stereo
-from .trial_fits import HOLD_BACK_FROM, prepare_trial, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials
 
 # With masks, the trial fits of two starts are finer than those that select the class, as the starts differ in less. On suzanne_mixed all of
 # stereo's points are worse in the end, by .7 dB on new views: held-back views of these fits say so by .2 dB, with 8,000 surfels on 100
@@ -104,6 +104,6 @@ def _reason_against(dataset: Dataset, settings: Settings, material_class: Materi
         return "as set"
     if material_class == METAL:
         return "a metal's reflections mislead stereo"
-    if len(dataset.train) < HOLD_BACK_FROM:
+    if len(dataset.train) < MIN_HOLD_BACK_VIEWS:
         return f"{len(dataset.train)} photographs, too few to hold any back"
     return ""

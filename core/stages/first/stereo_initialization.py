@@ -23,18 +23,18 @@ from ...stereo.estimation import Depths, estimate_depth_maps
 from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.settings import StereoSettings
 from .depth_evidence import DepthEvidence
-from .initialization import FAINT, OPACITY, SURFACE_SPREAD, observed_colour, random_points, spatial_order, surface_spacing, surfels
+from .initialization import FAINT_OPACITY, OPACITY, SURFACE_SPREAD, observed_colour, random_points, spatial_order, surface_spacing, surfels
 from .visual_hull import VisualHull, visual_hull
 
-SUPPORT = {True: 3, False: 2}  # views that must agree with a point, with masks and without: captures overlap less than turntables
-SHARE = 0.65  # without masks: largest share of the surfels that lie on stereo's points
-FILLER = 0.1  # without masks: share of the surfels that are random points, for what stereo did not see
-FEWEST = 0.08  # stereo's points over the budget of surfels below which there is no stereo start
-BETTER = 0.9  # reprojection error at stereo's depth over that at the hull's below which a region takes stereo's points
-COMPARED = 4  # views that each view is compared with
-WORTH = 0.2  # share of stereo's points in such regions below which all of them are no start: on chair (.1) albedo loses 1 dB by it
-REACH = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
-SEEN_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
+MIN_SUPPORT_MASKED, MIN_SUPPORT_UNMASKED = 3, 2  # views that must agree with a point: captures overlap less than turntables
+MAX_STEREO_SHARE = 0.65  # without masks: largest share of the surfels that lie on stereo's points
+FILLER_SHARE = 0.1  # without masks: share of the surfels that are random points, for what stereo did not see
+MIN_POINT_RATIO = 0.08  # stereo's points over the budget of surfels below which there is no stereo start
+MAX_ERROR_RATIO = 0.9  # reprojection error at stereo's depth over that at the hull's below which a region takes stereo's points
+COMPARED_VIEWS = 4  # views that each view is compared with
+MIN_REGION_SHARE = 0.2  # share of stereo's points in such regions below which all of them are no start: on chair (.1) albedo loses 1 dB by it
+CLEARANCE_RADII = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
+MIN_VIEWS_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
 VOXEL_ROUNDS = 12  # bisections of the voxel size that thins the points
 
 
@@ -69,9 +69,9 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     With masks, stereo searches inside the visual hull, and there are up to two starts. In the first, a region takes stereo's points where
     the photographs agree better at their depth than at the hull's and where it differs by more than a pixel, and otherwise the hull's. The
     second takes all of stereo's points: where the hull is wrong, the regions between are often wrong too, but on reflections stereo is.
-    Points of the hull fill the gaps that fewer than SEEN_THROUGH views look through. Without masks, there is one start, and stereo's points
-    in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside free
-    space.
+    Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through. Without masks, there is one start, and stereo's
+    points in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside
+    free space.
 
     Args:
         dataset: training views, bound and sparse points.
@@ -106,7 +106,7 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     if not chosen.any():
         return []
     by_regions = _with_hull(dataset, "stereo by regions", found, (chosen, kept), sampled, count)
-    return [by_regions] if share < WORTH else [by_regions, on_all()]
+    return [by_regions] if share < MIN_REGION_SHARE else [by_regions, on_all()]
 
 
 def _search(
@@ -121,14 +121,15 @@ def _search(
     settings = StereoSettings() if light_rotations(dataset.train) is None else StereoSettings(brightness=0.0)
     nearest, farthest, initial = bounds
     maps = estimate_depth_maps(dataset.train, nearest, farthest, known, settings, seed, progress, initial)
-    points = fuse_points(maps, [view.colour for view in dataset.train], SUPPORT[dataset.has_alpha], settings)
-    return _Found(maps, points) if len(points.position) >= FEWEST * count else None
+    support = MIN_SUPPORT_MASKED if dataset.has_alpha else MIN_SUPPORT_UNMASKED
+    points = fuse_points(maps, [view.colour for view in dataset.train], support, settings)
+    return _Found(maps, points) if len(points.position) >= MIN_POINT_RATIO * count else None
 
 
 def _evidence(dataset: Dataset, maps: list[DepthMap], hull_depth: list[np.ndarray]) -> DepthEvidence:
     """Compare stereo's depths, the hull's where it has none, with the hull's."""
-    stereo = [np.where(one.support >= SUPPORT[True], one.depth, depth) for one, depth in zip(maps, hull_depth, strict=True)]
-    sources = [one.witnesses[:COMPARED] for one in maps]
+    stereo = [np.where(one.support >= MIN_SUPPORT_MASKED, one.depth, depth) for one, depth in zip(maps, hull_depth, strict=True)]
+    sources = [one.witnesses[:COMPARED_VIEWS] for one in maps]
     return DepthEvidence.collect(dataset.train, dataset.bound, (hull_depth, stereo), sources, StereoSettings().relative_depth)
 
 
@@ -146,12 +147,12 @@ def _regions(dataset: Dataset, found: _Found, hull_depth: list[np.ndarray], othe
         share of stereo's points at which the photographs agree better.
     """
     points, evidence = found.points.position, _evidence(dataset, found.maps, hull_depth)
-    better = evidence.ratio(points) < BETTER
+    better = evidence.ratio(points) < MAX_ERROR_RATIO
     # Stereo's noise is about a pixel: where it is so near to the hull, the hull is the better start.
     size = pixel_size(dataset)
     apart = KDTree(other).query(points, workers=-1)[0] > size
     agreed = KDTree(points).query(other, workers=-1)[0] <= size
-    return better & apart, agreed | (evidence.ratio(other) >= BETTER), float(better.mean())
+    return better & apart, agreed | (evidence.ratio(other) >= MAX_ERROR_RATIO), float(better.mean())
 
 
 def _with_hull(
@@ -169,7 +170,7 @@ def _with_hull(
     """
     chosen, kept = taken
     points = found.points.select(chosen)
-    keep = kept | _unexplained(hull[0], points, found.maps, REACH * dataset.bound.radius)
+    keep = kept | _unexplained(hull[0], points, found.maps, CLEARANCE_RADII * dataset.bound.radius)
     # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
     share = chosen.mean() / max(chosen.mean() + keep.mean(), 1e-9)
     points = thinned(points, round(share * count))
@@ -180,12 +181,12 @@ def _with_hull(
 
 def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float], count: int, rng: np.random.Generator) -> StereoStart:
     """Place surfels on stereo's points outside free space, and faint ones at random; `nearest` is the least depth searched in each view."""
-    reach = REACH * dataset.bound.radius
+    reach = CLEARANCE_RADII * dataset.bound.radius
     seen = ~in_free_space(found.points, found.maps, nearest, reach)
-    points = thinned(found.points.select(seen), int(SHARE * count))
-    other, other_normal = random_points(dataset, int(FILLER * count), rng)
+    points = thinned(found.points.select(seen), int(MAX_STEREO_SHARE * count))
+    other, other_normal = random_points(dataset, int(FILLER_SHARE * count), rng)
     keep = _unexplained(other, points, found.maps, reach)
-    return StereoStart("stereo", *_joined(dataset, points, other[keep], other_normal[keep], FAINT), found.maps)
+    return StereoStart("stereo", *_joined(dataset, points, other[keep], other_normal[keep], FAINT_OPACITY), found.maps)
 
 
 def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap], reach: float) -> np.ndarray:
@@ -193,7 +194,7 @@ def _unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap
     if not len(points.position):
         return np.ones(len(others), bool)
     far = KDTree(points.position).query(others, workers=-1)[0] > reach
-    return far & (views_through(others, maps, reach) < SEEN_THROUGH)
+    return far & (views_through(others, maps, reach) < MIN_VIEWS_THROUGH)
 
 
 def _joined(
@@ -267,7 +268,7 @@ def views_through(points: np.ndarray, maps: Sequence[DepthMap], tolerance: float
     count = np.zeros(len(points), np.int32)
     for one in maps:
         inside, row, column, depth = _in_view(points, one.camera)
-        seen = np.where(one.support >= min(SUPPORT.values()), one.depth, 0)[row, column]
+        seen = np.where(one.support >= MIN_SUPPORT_UNMASKED, one.depth, 0)[row, column]
         count[inside] += seen > depth + tolerance
     return count
 

@@ -19,9 +19,9 @@ from .initialization import initial_gaussians
 from .material_class_selection import material_class_named, select_material_class
 from .start_selection import Start, select_start
 from .trainer import Trainer
-from .trial_fits import HOLD_BACK_FROM
+from .trial_fits import MIN_HOLD_BACK_VIEWS
 
-CROP_BELOW = 0.9  # mean fraction of the images inside the object's box below which cropping saves time
+MAX_CROP_FRACTION = 0.9  # mean fraction of the images inside the object's box below which cropping saves time
 
 
 def decide_cropping(dataset: Dataset, settings: Settings, progress: Progress) -> bool:
@@ -38,7 +38,7 @@ def decide_cropping(dataset: Dataset, settings: Settings, progress: Progress) ->
     alphas = [torch.from_numpy(view.alpha) for view in dataset.train if view.alpha is not None]
     fraction = float(np.mean([alpha[object_box(alpha)].numel() / alpha.numel() for alpha in alphas]))
     evidence = f"the object's surroundings are {1 - fraction:.0%} of the pixels"
-    return decide_skip_rule(settings.skip, "background", fraction < CROP_BELOW, evidence, progress)
+    return decide_skip_rule(settings.skip, "background", fraction < MAX_CROP_FRACTION, evidence, progress)
 
 
 def train(
@@ -81,7 +81,7 @@ def train(
     else:
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
-    hold_back = len(dataset.train) if len(dataset.train) >= HOLD_BACK_FROM else 0  # one view
+    hold_back = len(dataset.train) if len(dataset.train) >= MIN_HOLD_BACK_VIEWS else 0  # one view
     trainer = Trainer(
         dataset,
         settings.first,

@@ -24,7 +24,7 @@ from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
 from ..common.light_map import light_variation
 from ..common.optimizer import GaussianOptimizer, Rate
-from ..common.preview import LONGEST, points_shape
+from ..common.preview import MAX_IMAGE_SIDE, points_shape
 from ..common.training_view import TrainingView, border_radiance, make_training_view
 from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view
@@ -36,12 +36,12 @@ from .schedule import anchors_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
 CHECKPOINT_SECONDS = 30.0  # between two checkpoints
-CONTROLLED = 0.1, 0.7  # fractions of the schedule between which density control acts
-CONTROLS = 20  # it acts at most once in each such part of the schedule
+DENSITY_CONTROL_RANGE = 0.1, 0.7  # fractions of the schedule between which density control acts
+MAX_DENSITY_CONTROLS = 20  # it acts at most once in each such part of the schedule
 RESET_EVERY = 3000  # steps between opacity resets (3DGS); shorter schedules have none
-HULL_LEFT = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
+MIN_HULL_FRACTION = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
 RATES_CHOSEN_AT = 1500  # steps of the schedule with which the GEOMETRY_RATES were chosen
-OPAQUE = 0.5  # opacity from which a pixel has a depth
+MIN_OPACITY = 0.5  # opacity from which a pixel has a depth
 TEST_EVERY = 50  # steps between tests on the held-back views
 
 
@@ -181,7 +181,7 @@ class Trainer:
             with torch.no_grad():
                 sums, _ = rasterize(*parameters, view.camera, self.dataset.bound.radius, 0)
             depth, alpha = sums[-2:].cpu().numpy()
-            depths.append(np.where(alpha > OPAQUE, depth / np.maximum(alpha, OPAQUE), np.float32(0)))
+            depths.append(np.where(alpha > MIN_OPACITY, depth / np.maximum(alpha, MIN_OPACITY), np.float32(0)))
         return depths
 
     def _finite_value(self, loss: torch.Tensor) -> float:
@@ -195,11 +195,11 @@ class Trainer:
     def _control(self, statistics: ScreenStatistics) -> None:
         """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""
         settings, fraction = self.settings, self.done / self.settings.iterations
-        if not CONTROLLED[0] < fraction < CONTROLLED[1]:
+        if not DENSITY_CONTROL_RANGE[0] < fraction < DENSITY_CONTROL_RANGE[1]:
             return
         self.density.accumulate(statistics)
         # With masks, every view must have been rendered before a Gaussian counts as unseen.
-        period = max(settings.iterations // CONTROLS, 2 * len(self.training_views) if self.masked else 1)
+        period = max(settings.iterations // MAX_DENSITY_CONTROLS, 2 * len(self.training_views) if self.masked else 1)
         if self.density.images >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
             self._check_hull()
@@ -209,7 +209,7 @@ class Trainer:
     def _check_hull(self) -> None:
         """Raise IrgsppError where most of the initial surfels were pruned: with masks, none grow back."""
         left = self.optimizer.gaussians.count
-        if self.masked and left < HULL_LEFT * self._initial_count:
+        if self.masked and left < MIN_HULL_FRACTION * self._initial_count:
             lost = f"only {left:,} of {self._initial_count:,} surfels that the fit started with are left at iteration {self.done}"
             raise IrgsppError(f"first stage: {lost}; check that cameras and masks match the images")
 
@@ -232,7 +232,7 @@ class Trainer:
         """Render the first training view as a small preview image (H, W, 3) uint8."""
         camera = self.training_views[0].camera
         with torch.no_grad():
-            small = make_training_view(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / LONGEST))
+            small = make_training_view(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / MAX_IMAGE_SIDE))
             rendered = self.render(small.to(self.device))[0]
         return eight_bits(rendered.permute(1, 2, 0).cpu().numpy())
 

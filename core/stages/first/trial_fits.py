@@ -19,10 +19,10 @@ from ..common.preview import points_shape
 from .material_class import MaterialClass
 from .trainer import Trainer
 
-HOLD_BACK_FROM = 8  # views; with fewer, all are needed for training
+MIN_HOLD_BACK_VIEWS = 8  # views; with fewer, all are needed for training
 TRIAL_HOLD_BACK = 6  # every 6th view is held back from a trial fit
 LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit resolve no more
-GIVE_UP = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
+GIVE_UP_LIMITS = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
 
 
 def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
@@ -59,7 +59,7 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
     """
     iterations = settings.first.trial_iterations
     may_give_up = settings.skip.trials != "off"
-    checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP} if may_give_up else {}
+    checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP_LIMITS} if may_give_up else {}
     score, running, given_up = dict.fromkeys(fits, 0.0), list(fits), []
     for done in range(1, iterations + 1):
         if progress.cancelled:

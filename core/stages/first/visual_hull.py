@@ -19,11 +19,11 @@ from ...scene.surface import draw_on_triangles
 from ...scene.triangle_tracer import TriangleTracer
 from ..common.mask_band import widest_mask
 
-GRID = 96  # cells along the longest side of the hull
-UNSEEN = 2.0  # alpha of a cell that no view has seen yet
-OCCUPIED = 0.1  # alpha of a coarse cell from which the fine grid encloses it
-BORDER = 1.5  # coarse cells around these that the fine grid encloses, too
-SMOOTHING = 1.5  # cells, sigma of the blur whose gradient gives the normals
+HULL_CELLS = 96  # cells along the longest side of the hull
+UNSEEN_ALPHA = 2.0  # alpha of a cell that no view has seen yet
+MIN_OCCUPIED_ALPHA = 0.1  # alpha of a coarse cell from which the fine grid encloses it
+BORDER_CELLS = 1.5  # coarse cells around these that the fine grid encloses, too
+SMOOTHING_CELLS = 1.5  # cells, sigma of the blur whose gradient gives the normals
 
 
 @kernel
@@ -87,7 +87,7 @@ class VisualHull:
 
     def _normals(self, points: np.ndarray, flat: np.ndarray) -> np.ndarray:
         """Return the normals (N, 3) of the smoothed hull at points (N, 3); `flat` (N, 3) where it has no gradient."""
-        gradient = np.stack(np.gradient(gaussian_filter(self.inside, SMOOTHING)), -1) / self.step
+        gradient = np.stack(np.gradient(gaussian_filter(self.inside, SMOOTHING_CELLS)), -1) / self.step
         cell = np.clip(np.round((points - self.corner) / self.step).astype(int), 0, np.array(self.inside.shape) - 1)
         normals = -gradient[tuple(cell.T)]
         length = np.linalg.norm(normals, axis=1, keepdims=True)
@@ -109,7 +109,7 @@ def _hit(tracer: TriangleTracer, camera: Camera, start: float, missed: float = 0
 
 
 def visual_hull(views: list[View], bound: Bound) -> VisualHull:
-    """Carve the visual hull from the bound with the masks of all views, coarse then fine, at GRID cells along the hull.
+    """Carve the visual hull from the bound with the masks of all views, coarse then fine, at HULL_CELLS cells along the hull.
 
     `core.datasets.bound.bound_of_masks` also carves, but only estimates the bounding sphere before any bound is known: coarsely, with
     few views, and tolerant of masks that contradict each other.
@@ -122,21 +122,21 @@ def visual_hull(views: list[View], bound: Bound) -> VisualHull:
         InputError: no cell is inside all masks.
     """
     centre, radius = np.asarray(bound.centre), bound.radius
-    coarse = _carve(views, bound, centre - radius, centre + radius, GRID // 2)
-    cells = np.argwhere(coarse.inside > OCCUPIED)
+    coarse = _carve(views, bound, centre - radius, centre + radius, HULL_CELLS // 2)
+    cells = np.argwhere(coarse.inside > MIN_OCCUPIED_ALPHA)
     if not len(cells):
         raise InputError(
             "masks", "no point of the object's bound is inside all masks", "check the cameras, or set data.centre, data.radius"
         )
-    low, high = coarse.corner + (cells.min(0) - BORDER) * coarse.step, coarse.corner + (cells.max(0) + BORDER) * coarse.step
-    return _carve(views, bound, low, high, GRID)
+    low, high = coarse.corner + (cells.min(0) - BORDER_CELLS) * coarse.step, coarse.corner + (cells.max(0) + BORDER_CELLS) * coarse.step
+    return _carve(views, bound, low, high, HULL_CELLS)
 
 
 def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> VisualHull:
     """Carve the box low..high (3,) at `cells` cells along its longest side."""
     step = float((high - low).max()) / cells
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
-    inside = np.full(shape, UNSEEN, np.float32)
+    inside = np.full(shape, UNSEEN_ALPHA, np.float32)
     for view in views:
         arrays = (low.astype(np.float32), np.float32(step), shape, view.camera.projection.astype(np.float32), widest_mask(view))
         run_ranges(carve_range, even_ranges(shape[0], thread_count()), *arrays, inside)

@@ -19,8 +19,8 @@ from ..common.training_view import TrainingView
 from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import shuffled_epochs
 
-DARKEST = 1e-6  # least radiance of the light's texels, whose logarithm is optimised
-EDGE = 1e-4  # materials are kept this far inside 0..1, so that their logits are finite
+MIN_RADIANCE = 1e-6  # least radiance of the light's texels, whose logarithm is optimised
+LOGIT_MARGIN = 1e-4  # materials are kept this far inside 0..1, so that their logits are finite
 
 
 def refit_radiance(
@@ -48,10 +48,10 @@ def refit_radiance(
         IrgsppError: a value is not finite.
     """
     mirrored, g = reconstruction.mirrored(), reconstruction.gaussians
-    own = g if mirrored is None else replace(g, material=torch.logit(mirrored.material.clamp(EDGE, 1 - EDGE)))
+    own = g if mirrored is None else replace(g, material=torch.logit(mirrored.material.clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)))
     rates, others = {"sh_dc": Rate(3e-3, 0.1), "sh_rest": Rate(2e-4, 0.1)}, {}
     if mirrored is not None:
-        others["light"] = mirrored.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
+        others["light"] = mirrored.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         rates |= {name: Rate(3e-3, 0.1) for name in ("albedo", "roughness", "metallic", "light")}
     optimizer, generator = GaussianOptimizer(own, rates, others), torch.Generator().manual_seed(seed)
     training_views = TrainingViewCache(views, crop=True, device=g.position.device)

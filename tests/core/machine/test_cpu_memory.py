@@ -74,5 +74,5 @@ def test_fewer_rays_at_once_give_the_same_result():
     for rays in (MOST_RAYS, 100):
         with transfer_tracing.rays_at_a_time(rays):
             results.append(transfer_tracing._trace_directions(origin, direction, selected, tracer, lambda done: None))
-    assert transfer_tracing.RAYS == MOST_RAYS and tracer.calls == 1 + 5
+    assert transfer_tracing.RAY_BATCH == MOST_RAYS and tracer.calls == 1 + 5
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))

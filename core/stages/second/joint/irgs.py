@@ -14,15 +14,15 @@ from ....shading.brdf import DIELECTRIC_F0
 from ....shading.sampling import Samples
 
 START_ALBEDO, START_ROUGHNESS, START_LIGHT = 0.3, 0.6, 1.5  # of all Gaussians; radiance of all directions
-NO_METAL = -12.0  # logit
-SMALLEST, LARGEST = 1e-6, 4 * math.pi  # bounds of the specular lobe's denominator, which cap lobes of a roughness below 0.12
+NO_METAL_LOGIT = -12.0  # logit
+MIN_DENOMINATOR, MAX_DENOMINATOR = 1e-6, 4 * math.pi  # bounds of the specular lobe's denominator, which cap lobes of a roughness below 0.12
 
 
 def irgs_start(start: Reconstruction) -> Reconstruction:
     """Return a reconstruction with constant materials, none of it metal, and constant light."""
     material = torch.empty_like(start.gaussians.material)
     material[ALBEDO], material[ROUGHNESS] = math.log(START_ALBEDO / (1 - START_ALBEDO)), math.log(START_ROUGHNESS / (1 - START_ROUGHNESS))
-    material[METALLIC] = NO_METAL
+    material[METALLIC] = NO_METAL_LOGIT
     return replace(
         start, gaussians=replace(start.gaussians, material=material), environment=torch.full_like(start.environment, START_LIGHT)
     )
@@ -61,6 +61,6 @@ def reflect_as_irgs(
     # Schlick's (1 - v_h)^5 as a power of 2 (Karis 2013, "Real Shading in Unreal Engine 4").
     fresnel = DIELECTRIC_F0 + (1 - DIELECTRIC_F0) * 2 ** ((-5.55473 * v_h - 6.98316) * v_h)
     lobe = (n_h**2 * (alpha**2 - 1) + 1) ** 2 * (n_v * (1 - k) + k) * (n_l * (1 - k) + k)
-    specular = fresnel * alpha**2 / (4 * math.pi * lobe).clamp(SMALLEST, LARGEST)
+    specular = fresnel * alpha**2 / (4 * math.pi * lobe).clamp(MIN_DENOMINATOR, MAX_DENOMINATOR)
     irradiance, gloss = (torch.einsum("pn,pnc->pc", factor, incoming) for factor in (weight, weight * specular))
     return albedo * irradiance / math.pi, gloss

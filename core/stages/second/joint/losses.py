@@ -32,7 +32,7 @@ from ...common.training_view import BAND_WEIGHT, TrainingView
 from .model import JointModel, PixelPlan, at_pixels
 
 NORMALS_FROM = 0.1  # fraction of the schedule from which the geometry's losses count: 1000 of 10,000 iterations
-VISIBLE = 0.05  # opacity from which a pixel's layers are divided by it and smoothed
+MIN_OPACITY = 0.05  # opacity from which a pixel's layers are divided by it and smoothed
 ENTROPY_FLOOR = 1e-6  # distance of an opacity from 0 and 1 in the mask's cross entropy
 
 
@@ -115,7 +115,7 @@ def joint_losses(
 def visible_layers(sums: torch.Tensor, channels: slice, view: TrainingView) -> tuple[torch.Tensor, torch.Tensor]:
     """Return layers (C, H, W) of the sums (13, H, W) divided by opacity, 0 where nothing is, and the object's mask (H, W)."""
     alpha = sums[-1]
-    layers = torch.where(alpha > VISIBLE, sums[channels] / alpha.clamp_min(VISIBLE), 0.0)
+    layers = torch.where(alpha > MIN_OPACITY, sums[channels] / alpha.clamp_min(MIN_OPACITY), 0.0)
     return layers, torch.ones_like(alpha) if view.alpha is None else view.alpha
 
 

@@ -26,8 +26,8 @@ from ....shading.rendering_equation import reflect_light
 from ....shading.sampling import LightDistribution, Samples, draw
 from ...common.training_view import TrainingView
 
-FOREGROUND = 0.5  # opacity above which a pixel is shaded
-REFITS = 15  # of the tree before it is built anew (3DGRUT)
+MIN_FOREGROUND_OPACITY = 0.5  # opacity above which a pixel is shaded
+MAX_REFITS = 15  # of the tree before it is built anew (3DGRUT)
 Reflect = Callable[..., tuple[torch.Tensor, torch.Tensor]]  # see `reflect_light`
 
 
@@ -48,7 +48,7 @@ class SurfelTracer:
         """
         g = gaussians
         geometry = (g.position, g.quaternion, g.log_scale, g.opacity)
-        if self._tree is None or self._refits >= REFITS:
+        if self._tree is None or self._refits >= MAX_REFITS:
             self._tree, self._refits = build_tree(*geometry), 0
         elif not self._tree.matches(*geometry):
             self._tree.refit(*geometry)
@@ -167,12 +167,12 @@ class JointModel:
     def foreground(self, sums: torch.Tensor, view: TrainingView) -> torch.Tensor:
         """Return the flat indices (P,) of pixels that show the object, those in the band of an uncertain mask left out."""
         alpha = sums[-1].detach()
-        shown = alpha > FOREGROUND
+        shown = alpha > MIN_FOREGROUND_OPACITY
         if view.band is not None:
             shown = shown & ~view.band
         if self.background is not None:  # the photographs show a backdrop, too
             eye = torch.as_tensor(view.camera.centre).to(alpha)
-            depth = sums[-2].detach() / alpha.clamp_min(FOREGROUND)
+            depth = sums[-2].detach() / alpha.clamp_min(MIN_FOREGROUND_OPACITY)
             away = eye[:, None, None] + depth * view.world_rays - self.centre.to(alpha)[:, None, None]
             shown = shown & (away.norm(dim=0) <= self.radius)
         return torch.nonzero(shown.flatten())[:, 0]

@@ -27,7 +27,7 @@ from ...common.light_map import resized_light
 from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view import make_training_view
 from ...common.view_order import next_view
-from ..refinement.refinement import DARKEST, HOLD_BACK, TEST_PIXELS, TEST_SAMPLES, split_samples
+from ..refinement.refinement import HOLD_BACK, MIN_RADIANCE, TEST_PIXELS, TEST_SAMPLES, split_samples
 from .losses import LOW_GLOSS_WEIGHTS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
@@ -35,8 +35,8 @@ FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 25
 RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}  # of Adam
 GEOMETRY = {"position": 1.6e-4, "quaternion": 1e-3, "log_scale": 5e-3, "opacity": 5e-2}  # position: per unit of the cameras' extent
 PUBLISHED = Rate(1.0)  # factor of the rates: constant over the schedule
-EXTENT = 1.1  # extent of the cameras over the largest distance of one from their mean (3DGS)
-INSIDE = 0.99  # of the mask: pixels of a test show the object alone
+EXTENT_RATIO = 1.1  # extent of the cameras over the largest distance of one from their mean (3DGS)
+MIN_MASK_OPACITY = 0.99  # of the mask: pixels of a test show the object alone
 
 
 class JointOptimisation:
@@ -87,7 +87,7 @@ class JointOptimisation:
         every = number % HOLD_BACK == HOLD_BACK // 2 if len(views) >= HOLD_BACK else number < 0
         self.held_back = every if hold_back else number < 0
         self.tested = torch.nonzero(every if every.any() else ~every)[:, 0].tolist()
-        self.light = resized_light(start.environment, settings.light_height).clamp_min(DARKEST).log().contiguous().requires_grad_()
+        self.light = resized_light(start.environment, settings.light_height).clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         rates = {name: Rate(rate) for name, rate in RATES.items() if name != "metallic" or settings.brdf != "irgs"}
         if settings.geometry_rate > 0:
             extent = camera_extent([view.camera for view in views])
@@ -159,7 +159,7 @@ class JointOptimisation:
                 sums = self.model.render(self._gaussians(), view)
                 shown = self.model.foreground(sums, view)
                 if view.alpha is not None:
-                    shown = shown[view.alpha.flatten()[shown] > INSIDE]
+                    shown = shown[view.alpha.flatten()[shown] > MIN_MASK_OPACITY]
                 pixels = self._choose(shown, share, generator)
                 if not len(pixels):
                     continue
@@ -220,4 +220,4 @@ class JointOptimisation:
 def camera_extent(cameras: Sequence[Camera]) -> float:
     """Return the extent of cameras as 3DGS measures it, world units."""
     centres = np.stack([camera.centre for camera in cameras])
-    return EXTENT * float(np.linalg.norm(centres - centres.mean(0), axis=1).max())
+    return EXTENT_RATIO * float(np.linalg.norm(centres - centres.mean(0), axis=1).max())

@@ -24,9 +24,9 @@ from ....settings.schema import Settings
 from ...common.training_view import TrainingView, make_training_view
 from ..radiance_refit import refit_radiance
 
-WARM_UP = 300  # iterations of the fit of the SH
-INSIDE = 0.99  # of the mask: pixels that show the object alone
-SEEN = 1e-3  # summed weight in pixels from which a surfel has been seen
+WARM_UP_ITERATIONS = 300  # iterations of the fit of the SH
+MIN_MASK_OPACITY = 0.99  # of the mask: pixels that show the object alone
+MIN_SEEN_WEIGHT = 1e-3  # summed weight in pixels from which a surfel has been seen
 
 
 def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Settings, progress: Progress) -> Reconstruction:
@@ -48,7 +48,7 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
     sh = torch.zeros_like(g.sh)
     sh[0] = torch.where(seen, (mean - 0.5) / SH_C0, g.sh[0])
     plain = replace(start, gaussians=replace(g, sh=sh), has_split_sum=False, reflections=None)
-    progress.phase("radiance", WARM_UP)
+    progress.phase("radiance", WARM_UP_ITERATIONS)
 
     def report(done: int) -> bool:
         """Report an iteration; return True to finish early."""
@@ -57,7 +57,7 @@ def with_all_radiance(start: Reconstruction, views: Sequence[View], settings: Se
             raise Cancelled("stopped before the joint optimisation")
         return progress.finish_early
 
-    return refit_radiance(plain, views, WARM_UP, settings.seed, on_step=report, subpixels=settings.first.subpixels)
+    return refit_radiance(plain, views, WARM_UP_ITERATIONS, settings.seed, on_step=report, subpixels=settings.first.subpixels)
 
 
 def mean_seen_radiance(gaussians: Gaussians, views: Sequence[TrainingView], scene_radius: float) -> tuple[torch.Tensor, torch.Tensor]:
@@ -74,10 +74,10 @@ def mean_seen_radiance(gaussians: Gaussians, views: Sequence[TrainingView], scen
     extra = g.position.new_zeros(4, g.count).requires_grad_()
     for view in (one.to(g.position.device) for one in views):
         sums, _ = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, view.camera, scene_radius)
-        shown = sums[-1].detach() > INSIDE
+        shown = sums[-1].detach() > MIN_MASK_OPACITY
         if view.alpha is not None:
-            shown = shown & (view.alpha > INSIDE)
+            shown = shown & (view.alpha > MIN_MASK_OPACITY)
         target = torch.cat([decode_srgb(view.image), torch.ones_like(view.image[:1])]) * shown
         (sums[EXTRA : EXTRA + 4] * target).sum().backward()
     total = extra.grad if extra.grad is not None else torch.zeros_like(extra)
-    return total[:3] / total[3].clamp_min(SEEN), total[3] > SEEN
+    return total[:3] / total[3].clamp_min(MIN_SEEN_WEIGHT), total[3] > MIN_SEEN_WEIGHT

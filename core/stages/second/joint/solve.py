@@ -25,7 +25,7 @@ from .radiance_start import with_all_radiance
 
 CHECKPOINT_SECONDS = 30.0  # between two checkpoints
 REFINING, REFINING_SMOOTHNESS = Rate(0.2, 0.1), 0.1  # factor of the published rates, and weight of materials' smoothness
-LEAST_GAIN = 0.2  # dB of held-back views; at the published rates a gain of 0.07 dB was measured with a loss of 1.1 dB under other lights
+MIN_GAIN = 0.2  # dB of held-back views; at the published rates a gain of 0.07 dB was measured with a loss of 1.1 dB under other lights
 TEST_EVERY = 200  # iterations between tests
 
 
@@ -75,7 +75,7 @@ def refine_jointly(
     deadline: float | None = None,
     checkpoint: Checkpoint | None = None,
 ) -> tuple[Reconstruction, float]:
-    """Optimise another solver's result jointly, and keep what comes out only where it shades held-back views better by LEAST_GAIN.
+    """Optimise another solver's result jointly, and keep what comes out only where it shades held-back views better by MIN_GAIN.
 
     The published rates and smoothness are made for a start far from the solution; here they are lower (REFINING, REFINING_SMOOTHNESS).
 
@@ -96,7 +96,7 @@ def refine_jointly(
         IrgsppError: a value is not finite.
     """
     optimisation, scale, before, after = _optimised(solved, dataset, settings, progress, deadline, checkpoint, refining=True)
-    kept = after > before + LEAST_GAIN
+    kept = after > before + MIN_GAIN
     evidence = f"PSNR of shaded held-back views {before:.2f} dB, then {after:.2f} dB"
     progress.decided("joint", kept, evidence)
     progress.message(f"joint optimisation: {evidence}; {'kept' if kept else 'discarded'}")

@@ -21,15 +21,16 @@ from ..solver.light_material_solver import LightMaterialSolver
 from ..solver.multi_view_samples import MultiViewSamples, sample_views
 from .shading_normals import MIN_IRRADIANCE, DiffuseShading
 
-VIEWS = 32  # sampled, at most, spread over all
-FRONTAL = 4  # power of the cosine between normal and view by which a sample counts; oblique views blur what lies off the mesh
-OUTLIER = 0.05  # difference of log radiance from the mean at which a sample's weight is halved (Cauchy)
-REWEIGHTED = 5  # passes of iteratively reweighted least squares
-DEVIATION = 0.03  # standard deviation of log radiance where all views agree
-FULL = 2.0  # weight of the views from which on they count as certain
-NEAREST = 4  # solver points that a vertex takes light and materials from
-TURN = 0.3  # distance, in multiples of the mesh's size, as which opposite normals count in the choice of these
-LAMBERT = (1.0,) + (2 / 3,) * 3 + (1 / 4,) * 5  # convolution with the cosine lobe over pi, per coefficient (Ramamoorthi, Hanrahan 2001)
+MAX_VIEWS = 32  # sampled, at most, spread over all
+FRONTAL_POWER = 4  # power of the cosine between normal and view by which a sample counts; oblique views blur what lies off the mesh
+CAUCHY_SCALE = 0.05  # difference of log radiance from the mean at which a sample's weight is halved (Cauchy)
+REWEIGHTING_PASSES = 5  # passes of iteratively reweighted least squares
+MIN_DEVIATION = 0.03  # standard deviation of log radiance where all views agree
+CERTAIN_WEIGHT = 2.0  # weight of the views from which on they count as certain
+NEAREST_POINTS = 4  # solver points that a vertex takes light and materials from
+OPPOSITE_NORMAL_DISTANCE = 0.3  # distance, in multiples of the mesh's size, as which opposite normals count in the choice of these
+# Convolution with the cosine lobe over pi, per coefficient (Ramamoorthi, Hanrahan 2001).
+LAMBERT_CONVOLUTION = (1.0,) + (2 / 3,) * 3 + (1 / 4,) * 5
 BATCH = 200_000  # samples shaded at a time
 
 
@@ -45,9 +46,9 @@ def observe_diffuse_shading(
         tracer: tracer of the Gaussians; decides which view sees a vertex.
     """
     vertices, normals = surface.vertices.astype(np.float32), surface.normals.astype(np.float32)
-    chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(VIEWS, len(views))).round().astype(int))]
+    chosen = [views[k] for k in np.unique(np.linspace(0, len(views) - 1, min(MAX_VIEWS, len(views))).round().astype(int))]
     random = np.random.default_rng(0)
-    samples, seen = sample_views(vertices, normals, chosen, tracer, random, most=VIEWS, least=1)
+    samples, seen = sample_views(vertices, normals, chosen, tracer, random, most=MAX_VIEWS, least=1)
     harmonics, fraction = point_irradiance(solver)
     materials = torch.stack([solver.roughness, solver.metallic, fraction], 1)
     index, weight = nearest_points(surface, solver)
@@ -69,7 +70,7 @@ def point_irradiance(solver: LightMaterialSolver) -> tuple[np.ndarray, torch.Ten
     """
     transfer, light, normal = solver.transfer, solver.light, solver.samples.normal
     direction, solid_angle, visibility, indirect = (torch.as_tensor(array) for array in transfer.traced)
-    basis = sh_basis(direction, 2) * solid_angle * direction.new_tensor(LAMBERT)[:, None]
+    basis = sh_basis(direction, 2) * solid_angle * direction.new_tensor(LAMBERT_CONVOLUTION)[:, None]
     distant = light.repeat(direction.shape[1] // len(light), 1)
     harmonics = torch.stack([(visibility * distant[:, c] + indirect[:, c]) @ basis.T for c in range(3)], 2)
     exact = transfer.irradiance @ light + transfer.indirect
@@ -91,14 +92,14 @@ def mean_diffuse_radiance(samples: MultiViewSamples, solver: LightMaterialSolver
     Returns:
         (P, 3) log of the robust mean, and its precision (P,), 1 / variance.
     """
-    weight = (samples.n_v**FRONTAL)[:, None]
+    weight = (samples.n_v**FRONTAL_POWER)[:, None]
     value = torch.cat([part.log() for part in _diffuse_parts(samples, solver, materials)])
     mean, robust = samples.sums(weight * value) / samples.sums(weight), weight
-    for _ in range(REWEIGHTED):
-        robust = weight / (1 + ((value - mean[samples.point]) / OUTLIER) ** 2)
+    for _ in range(REWEIGHTING_PASSES):
+        robust = weight / (1 + ((value - mean[samples.point]) / CAUCHY_SCALE) ** 2)
         mean = samples.sums(robust * value) / samples.sums(robust)
     variance = (samples.sums(robust * (value - mean[samples.point]) ** 2) / samples.sums(robust)).mean(1)
-    precision = (samples.sums(weight)[:, 0] / FULL).clamp(0, 1) / (variance + DEVIATION**2)
+    precision = (samples.sums(weight)[:, 0] / CERTAIN_WEIGHT).clamp(0, 1) / (variance + MIN_DEVIATION**2)
     return mean.double().cpu().numpy(), precision.double().cpu().numpy()
 
 
@@ -121,9 +122,9 @@ def nearest_points(surface: Surface, solver: LightMaterialSolver) -> tuple[np.nd
     Returns:
         Indices (V, N), and weights (V, N) of sum 1.
     """
-    size = TURN * float(np.linalg.norm(np.ptp(surface.vertices, axis=0))) / 2
+    size = OPPOSITE_NORMAL_DISTANCE * float(np.linalg.norm(np.ptp(surface.vertices, axis=0))) / 2
     places = np.concatenate([solver.samples.position.cpu().numpy(), size * solver.samples.normal.cpu().numpy()], 1)
-    count = min(NEAREST, len(places))
+    count = min(NEAREST_POINTS, len(places))
     distance, index = KDTree(places).query(np.concatenate([surface.vertices, size * surface.normals], 1), k=count, workers=-1)
     weight = 1 / (distance.reshape(-1, count) + 1e-3 * size)
     return index.reshape(-1, count), weight / weight.sum(1, keepdims=True)

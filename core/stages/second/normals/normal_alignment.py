@@ -14,7 +14,7 @@ from ....scene.surface import Surface
 from ....scene.unit_vectors import unit_vectors
 from ..solver.gaussian_materials import surface_normals
 
-SMALLEST_COSINE = math.cos(math.radians(30))  # surfels at a larger angle lie on an edge or on another side and stay
+MIN_COSINE = math.cos(math.radians(30))  # surfels at a larger angle lie on an edge or on another side and stay
 
 
 def align_normals(gaussians: Gaussians, surface: Surface, fraction: float) -> Gaussians:
@@ -30,7 +30,7 @@ def align_normals(gaussians: Gaussians, surface: Surface, fraction: float) -> Ga
     cosine = (own * other).sum(0)
     other = torch.where(cosine < 0, -other, other)
     mixed = unit_vectors((1 - fraction) * own + fraction * other)
-    goal = torch.where(cosine.abs() > SMALLEST_COSINE, mixed, own)
+    goal = torch.where(cosine.abs() > MIN_COSINE, mixed, own)
     return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
 
 
@@ -47,7 +47,7 @@ def follow_normals(gaussians: Gaussians, before: Surface, after: Surface, fracti
     old, new = (torch.from_numpy(surface_normals(surface, position)).to(own.device).T for surface in (before, after))
     cosine = (own * old).sum(0)
     change = torch.where(cosine < 0, old - new, new - old)
-    goal = torch.where(cosine.abs() > SMALLEST_COSINE, unit_vectors(own + fraction * change), own)
+    goal = torch.where(cosine.abs() > MIN_COSINE, unit_vectors(own + fraction * change), own)
     return replace(gaussians, quaternion=product(shortest_turn(own, goal), gaussians.quaternion))
 
 

@@ -22,10 +22,10 @@ from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view_cache import TrainingViewCache
 from ...common.view_order import shuffled_epochs
 
-RATE = Rate(2e-3, 0.1)  # learning rate of the rotations
-INNER = 0.99  # alpha of the photograph from which a pixel counts
-OPAQUE = 0.5  # rendered opacity from which a pixel counts
-OUTLINES = 8.0  # loss weight: opacity agrees with the mask, since surfels that turn change the object's outlines
+ROTATION_RATE = Rate(2e-3, 0.1)  # learning rate of the rotations
+MIN_MASK_ALPHA = 0.99  # alpha of the photograph from which a pixel counts
+MIN_OPACITY = 0.5  # rendered opacity from which a pixel counts
+MASK_WEIGHT = 8.0  # loss weight: opacity agrees with the mask, since surfels that turn change the object's outlines
 
 
 def fit_rendered_normals(
@@ -60,16 +60,16 @@ def fit_rendered_normals(
     prepared = TrainingViewCache(views, crop=True)
     goals = [torch.from_numpy(image).permute(2, 0, 1) for image in normal_images(surface, [view.camera for view in prepared])]
     weights = [_weight(goal, view.alpha) for goal, view in zip(goals, prepared, strict=True)]
-    optimizer = GaussianOptimizer(gaussians, {"quaternion": RATE})
+    optimizer = GaussianOptimizer(gaussians, {"quaternion": ROTATION_RATE})
     for done, index in enumerate(shuffled_epochs(len(views), iterations, generator)):
         g = optimizer.gaussians
         fixed = (g.log_scale.detach(), g.opacity.detach(), g.sh.detach(), g.position.new_zeros(0, g.count))
         sums, _ = rasterize(g.position.detach(), g.quaternion, *fixed, prepared[index].camera, radius, 0, subpixels)
         alpha, weight = sums[-1], weights[index].to(device)
         difference = (sums[3:6] - goals[index].to(device) * alpha).abs().sum(0)
-        loss = (difference * weight * (alpha > OPAQUE)).sum()
+        loss = (difference * weight * (alpha > MIN_OPACITY)).sum()
         if prepared[index].alpha is not None:
-            loss = loss + OUTLINES * prepared[index].to(device).mask_difference(alpha) * alpha.numel()
+            loss = loss + MASK_WEIGHT * prepared[index].to(device).mask_difference(alpha) * alpha.numel()
         loss = loss / weight.sum().clamp_min(1)
         if check_due(loss, done + 1):
             require_finite({"the normals' loss": loss}, f"at iteration {done + 1}")
@@ -84,4 +84,4 @@ def fit_rendered_normals(
 def _weight(goal: torch.Tensor, alpha: torch.Tensor | None) -> torch.Tensor:
     """Return (H, W) 1 where a goal (3, H, W) is known and the photograph shows the object alone, else 0."""
     known = goal.square().sum(0) > 0
-    return (known if alpha is None else known & (alpha > INNER)).float()
+    return (known if alpha is None else known & (alpha > MIN_MASK_ALPHA)).float()

@@ -26,11 +26,11 @@ from ..solver.radiance_transfer import RadianceTransfer
 from ..solver.transfer_tracing import trace_radiance_transfer
 from .diffuse_shading import nearest_points
 
-ROUNDS = 3  # of searches, each around the last one's normals
-AVERAGES = 2  # of the turn with the neighbours', after each search
-VIEWS = 8  # of a vertex, at most
+SEARCH_ROUNDS = 3  # of searches, each around the last one's normals
+AVERAGING_PASSES = 2  # of the turn with the neighbours', after each search
+MAX_VIEWS = 8  # of a vertex, at most
 BATCH = 2000  # vertices searched at a time; those of one batch share their roughness
-KEPT = 10_000  # vertices up to which the transfer to them is kept from round to round, about 130 MB; else it is traced anew
+MAX_KEPT_VERTICES = 10_000  # vertices up to which the transfer to them is kept from round to round, about 130 MB; else it is traced anew
 
 
 def turn_to_reflections(
@@ -59,18 +59,18 @@ def turn_to_reflections(
         return surface
     position, normal = surface.vertices[metal].astype(np.float32), surface.normals[metal].astype(np.float32)
     random = np.random.default_rng(seed)
-    samples, seen = sample_views(position, normal, views, tracer, random, most=VIEWS)
+    samples, seen = sample_views(position, normal, views, tracer, random, most=MAX_VIEWS)
     chosen = seen.cpu().numpy()
     metal, roughness = metal[chosen], roughness[chosen]
     average, normals = neighbour_average(surface.faces, len(surface.vertices)), surface.normals
     batches = partial(_batches, samples, solver, tracer, seed)
-    kept = list(batches()) if len(metal) <= KEPT else None
-    for _ in range(ROUNDS):
+    kept = list(batches()) if len(metal) <= MAX_KEPT_VERTICES else None
+    for _ in range(SEARCH_ROUNDS):
         change = np.zeros_like(normals)
         for part, own, transfer in kept or batches():
             on_step(0)
             change[metal[part]] = _turn(normals[metal[part]], own, transfer, solver.light, float(np.median(roughness[part])))
-        for _ in range(AVERAGES):
+        for _ in range(AVERAGING_PASSES):
             change = average @ change
         normals = unit(normals + change)
     return replace(surface, normals=normals)

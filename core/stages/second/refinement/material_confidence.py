@@ -24,14 +24,14 @@ from .refinement import Refinement
 PIXELS = 32768  # of the training views, compared with their images
 BATCH = 2048  # of them at a time
 SAMPLES = (16, 32, 16)  # light samples of each of two estimates
-AROUND = 32  # nearest surfels whose pixels count for a surfel
-VARYING = 16  # nearest surfels among which a material's variation is measured
-NOISE = 0.003  # encoded error up to which places do not differ: rounding to 8 bits and a little more
-SHADE = 0.7  # power of the irradiance by which an error of the radiance becomes one of the albedo
-DARKEST = 1e-3  # least irradiance, over the object's median
-VARIATION = 0.33  # power of the variation among neighbours, over the object's median
-HALF = 0.02  # expected error at which the confidence is 0.5; albedo then erred by 0.01 to 0.045 on seven scenes
-LEAST = 0.01  # least albedo whose logarithm is taken
+PIXEL_NEIGHBOURS = 32  # nearest surfels whose pixels count for a surfel
+VARIATION_NEIGHBOURS = 16  # nearest surfels among which a material's variation is measured
+NOISE_ERROR = 0.003  # encoded error up to which places do not differ: rounding to 8 bits and a little more
+IRRADIANCE_POWER = 0.7  # power of the irradiance by which an error of the radiance becomes one of the albedo
+MIN_IRRADIANCE_RATIO = 1e-3  # least irradiance, over the object's median
+VARIATION_POWER = 0.33  # power of the variation among neighbours, over the object's median
+HALF_CONFIDENCE_ERROR = 0.02  # expected error at which the confidence is 0.5; albedo then erred by 0.01 to 0.045 on seven scenes
+MIN_ALBEDO = 0.01  # least albedo whose logarithm is taken
 
 
 def with_confidence(
@@ -49,15 +49,15 @@ def with_confidence(
     nearest = nearest_surfels(reconstruction)
     error, irradiance = surfel_errors(Refinement(reconstruction, pool, tracer, settings, seed), nearest, seed)
     materials = reconstruction.gaussians.materials().detach().cpu().numpy()
-    expected = expected_errors(error, irradiance, materials, nearest[:, :VARYING])
-    confidence = torch.from_numpy((1 / (1 + expected / HALF)).astype(np.float32)).to(reconstruction.environment.device)
+    expected = expected_errors(error, irradiance, materials, nearest[:, :VARIATION_NEIGHBOURS])
+    confidence = torch.from_numpy((1 / (1 + expected / HALF_CONFIDENCE_ERROR)).astype(np.float32)).to(reconstruction.environment.device)
     return replace(reconstruction, confidence=confidence)
 
 
 def nearest_surfels(reconstruction: Reconstruction) -> np.ndarray:
-    """Return the nearest surfels of each, itself included, (N, AROUND) or fewer where there are fewer, the nearest first."""
+    """Return the nearest surfels of each, itself included, (N, PIXEL_NEIGHBOURS) or fewer where there are fewer, the nearest first."""
     position = reconstruction.gaussians.position.T
-    return nearest_neighbours(position, position, AROUND).cpu().numpy()
+    return nearest_neighbours(position, position, PIXEL_NEIGHBOURS).cpu().numpy()
 
 
 def surfel_errors(refinement: Refinement, nearest: np.ndarray, seed: int) -> tuple[np.ndarray, np.ndarray]:
@@ -94,13 +94,13 @@ def expected_errors(error: np.ndarray, irradiance: np.ndarray, materials: np.nda
     """
     seen = np.isfinite(error)
     light = irradiance / max(float(np.median(irradiance[seen])) if seen.any() else 1.0, 1e-12)
-    common = (error + NOISE) * np.maximum(light, DARKEST) ** -SHADE
-    log_albedo = np.log(np.maximum(materials[ALBEDO], LEAST))
+    common = (error + NOISE_ERROR) * np.maximum(light, MIN_IRRADIANCE_RATIO) ** -IRRADIANCE_POWER
+    log_albedo = np.log(np.maximum(materials[ALBEDO], MIN_ALBEDO))
     albedo, roughness = log_albedo[:, nearest].std(2).mean(0), materials[ROUGHNESS][nearest].std(1)
     return np.stack([common * _relative(albedo), common * _relative(roughness), common])
 
 
 def _relative(variation: np.ndarray) -> np.ndarray:
-    """Return variations (N,) over their median, to the power VARIATION."""
+    """Return variations (N,) over their median, to the power VARIATION_POWER."""
     variation = variation + 1e-3
-    return (variation / np.median(variation)) ** VARIATION
+    return (variation / np.median(variation)) ** VARIATION_POWER

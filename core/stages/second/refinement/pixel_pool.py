@@ -17,10 +17,10 @@ from ....scene.dataset import View, light_rotations
 from ....scene.gaussians import Gaussians
 from ....scene.unique_rows import used_numbers
 from ...common.mask_band import narrowest_mask
-from ...common.training_view import SATURATED
+from ...common.training_view import MIN_SATURATED
 
-MORE = 1.25  # pixels traced for each that is asked for
-INSIDE = 0.99  # least opacity of mask and Gaussians with which a pixel counts as showing the object alone
+TRACED_RATIO = 1.25  # pixels traced for each that is asked for
+MIN_OPACITY = 0.99  # least opacity of mask and Gaussians with which a pixel counts as showing the object alone
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,7 +29,7 @@ class PixelPool:
 
     Attributes:
         lists: the Gaussians along each pixel's rays with their weights.
-        opacity: (B,) accumulated opacity of each pixel, above INSIDE.
+        opacity: (B,) accumulated opacity of each pixel, above MIN_OPACITY.
         point: (B, 3) mean of the rays' hits by weight, world.
         view: (B, 3) unit, towards the camera.
         colour: (B, 3) of the image, sRGB-encoded.
@@ -119,14 +119,14 @@ def add_by_weight(start, index, weight, pixels, values, total):
 
 def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, random: np.random.Generator, subpixels: int) -> PixelPool:
     """Draw at most `count` pixels of one view; more are traced, as some are not opaque."""
-    inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else narrowest_mask(view) > INSIDE
-    index = np.sort(random.permutation(np.flatnonzero(inside))[: int(MORE * count)])
+    inside = np.ones(view.colour.shape[:2], bool) if view.alpha is None else narrowest_mask(view) > MIN_OPACITY
+    index = np.sort(random.permutation(np.flatnonzero(inside))[: int(TRACED_RATIO * count)])
     origin, direction = (torch.from_numpy(a).float().to(tracer.device) for a in _pixel_rays(view.camera, index, subpixels))
     lists = merge_rays(hit_lists(tracer.tree, origin, direction), subpixels**2)
     weight, distance, length = (torch.as_tensor(a) for a in (lists.weight, lists.distance, lists.start[1:] - lists.start[:-1]))
     opacity = torch.segment_reduce(weight.double(), "sum", lengths=length, initial=0.0, unsafe=True)  # the check fails for no rays
     depth = torch.segment_reduce(weight.double() * distance, "sum", lengths=length, initial=0.0, unsafe=True) / opacity.clamp_min(1e-9)
-    kept = np.flatnonzero(opacity.cpu().numpy() > INSIDE)
+    kept = np.flatnonzero(opacity.cpu().numpy() > MIN_OPACITY)
     kept = np.sort(random.permutation(kept)[:count])
     ray = torch.from_numpy(kept).to(tracer.device)
     colour = torch.from_numpy(view.colour.reshape(-1, 3)[index[kept]]).float().to(tracer.device)
@@ -137,7 +137,7 @@ def _pixels_of(view: View, number: int, tracer: SecondaryTracer, count: int, ran
         origin[:1] + depth[ray].float()[:, None] * toward,
         -toward,
         colour,
-        colour >= SATURATED,
+        colour >= MIN_SATURATED,
         torch.full_like(ray, number),
         torch.from_numpy(index[kept]).to(tracer.device),
     )

@@ -34,16 +34,16 @@ from .pixel_pool import PixelPool, facing_side
 
 HOLD_BACK = 8  # one of so many views is held back
 TEST_PIXELS, TEST_SAMPLES = 3000, (16, 32, 16)  # pixels and light samples per pixel of a test
-CORNER = 1e-2  # encoded error below which the loss is quadratic
+QUADRATIC_ERROR = 1e-2  # encoded error below which the loss is quadratic
 # Of cosine, visible-normal and light samples. With fewer light samples, the noise of a lamp biases the loss so that lamps darken.
 SAMPLE_FRACTIONS = {"low-gloss": (0.25, 0.25, 0.5), "metal": (0.125, 0.5, 0.375)}
-METAL_PIXELS = 0.4  # further pixels, as a share, that show the metal parts of other objects: they know most of the light
-LEAST_METAL = 100  # pixels of metal in the pool for which this is done
+METAL_PIXEL_SHARE = 0.4  # further pixels, as a share, that show the metal parts of other objects: they know most of the light
+MIN_METAL_PIXELS = 100  # pixels of metal in the pool for which this is done
 METAL_LIGHT_RATE = 3.0  # factor of the light's learning rate for metals, all of whose radiance is reflected light
 NEIGHBOURS = 4  # over which materials are smoothed
-SIMILARITY = 8.0  # exponential decay of similarity with the difference in albedo
-SMOOTHED = 8192  # Gaussians compared with their neighbours in one step
-DARKEST = 1e-4  # least radiance of the light's texels, whose logarithm is optimised
+ALBEDO_DECAY = 8.0  # exponential decay of similarity with the difference in albedo
+SMOOTHED_GAUSSIANS = 8192  # Gaussians compared with their neighbours in one step
+MIN_RADIANCE = 1e-4  # least radiance of the light's texels, whose logarithm is optimised
 
 
 class Refinement:
@@ -84,7 +84,7 @@ class Refinement:
         self.start, self.pool, self.tracer, self.settings = reconstruction, pool, tracer, settings
         self.generator = torch.Generator().manual_seed(seed)
         g = reconstruction.gaussians
-        self.light = reconstruction.environment.clamp_min(DARKEST).log().contiguous().requires_grad_()
+        self.light = reconstruction.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         metal = is_mostly_metal(g)
         table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness")}
         table["light"] = Rate(5e-3 * (METAL_LIGHT_RATE if metal else 1.0), 0.1)
@@ -182,11 +182,11 @@ class Refinement:
         """Compute the loss of one step: Charbonnier loss of encoded radiance, smoothness of materials and light, white balance."""
         light = self.light.exp()
         pixels = self.gbuffer.choose_pixels(self.trained, self.settings.pixels, self.generator)
-        if len(self._metal) > LEAST_METAL:
-            further = self.gbuffer.choose_pixels(self._metal, round(METAL_PIXELS * self.settings.pixels), self.generator)
+        if len(self._metal) > MIN_METAL_PIXELS:
+            further = self.gbuffer.choose_pixels(self._metal, round(METAL_PIXEL_SHARE * self.settings.pixels), self.generator)
             pixels = torch.cat([pixels, further])
         difference = self._difference(self._shade(pixels, self.counts, light, self.generator), pixels)
-        loss = (difference.square() + CORNER**2).sqrt().mean()
+        loss = (difference.square() + QUADRATIC_ERROR**2).sqrt().mean()
         return loss + self._smoothness() + self.settings.light_smoothness * light_variation(self.light) + self._white_balance(light)
 
     def _difference(self, colour: torch.Tensor, pixels: torch.Tensor) -> torch.Tensor:
@@ -252,7 +252,7 @@ class Refinement:
 
     def _smoothness(self) -> torch.Tensor:
         """Return the weighted mean difference of materials between neighbours of similar albedo."""
-        pick = torch.randperm(len(self._similarity), generator=self.generator)[:SMOOTHED].to(self._similarity.device)
+        pick = torch.randperm(len(self._similarity), generator=self.generator)[:SMOOTHED_GAUSSIANS].to(self._similarity.device)
         materials, around = self.optimizer.gaussians.materials(), self._neighbours[pick]
         # gather, not [around]: the gradient of indexing is summed in an order that depends on the threads.
         others = materials.gather(1, around.reshape(1, -1).expand(len(materials), -1)).view(-1, *around.shape)
@@ -273,7 +273,7 @@ def similar_neighbours(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor
     """Return the nearest Gaussians of each, indices (N, K), and the similarity of their albedo, (N, K) in 0..1."""
     position, albedo = gaussians.position.T, gaussians.materials().detach()[:3].T
     index = nearest_neighbours(position, position, NEIGHBOURS + 1)[:, 1:]
-    return index, torch.exp(-SIMILARITY * (albedo[:, None] - albedo[index]).abs().sum(-1))
+    return index, torch.exp(-ALBEDO_DECAY * (albedo[:, None] - albedo[index]).abs().sum(-1))
 
 
 def split_samples(samples: int, fractions: tuple[float, float, float]) -> tuple[int, int, int]:

@@ -17,7 +17,7 @@ from ....scene.reconstruction import Reconstruction
 from ....settings.schema import Settings
 from ...common.preview import albedo_image
 from ...common.skip_rules import decide_skip_rule
-from ...common.time_budget import SECOND_STAGE_LARGEST_SCALE, scale_schedule, second_stage_schedule_scale
+from ...common.time_budget import MAX_SECOND_STAGE_SCALE, scale_schedule, second_stage_schedule_scale
 from ..metal import is_mostly_metal
 from ..step_report import report_step
 from .material_confidence import with_confidence
@@ -25,9 +25,9 @@ from .pixel_pool import PixelPool, pool_pixels
 from .refinement import Refinement
 from .roughness_pooling import with_pooled_roughness
 
-CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
-METAL_STEPS = 1.5  # length of a metal's schedule; on two scenes, new views gain 0.1 dB and relit images 0.03 to 0.09 dB
-TRIAL = 0.2  # share of the schedule after which one of several starts is chosen; before it, the better start often looks worse
+MAX_CACHED_MEGABYTES = 2000  # largest size of the hit lists of the pixel pool
+METAL_STEPS_FACTOR = 1.5  # length of a metal's schedule; on two scenes, new views gain 0.1 dB and relit images 0.03 to 0.09 dB
+TRIAL_SHARE = 0.2  # share of the schedule after which one of several starts is chosen; before it, the better start often looks worse
 
 
 def refine(
@@ -58,7 +58,7 @@ def refine(
     if settings.second.iterations == 0:
         return starts[0], 1.0
     if is_mostly_metal(starts[0].gaussians):
-        settings = replace(settings, second=replace(settings.second, iterations=round(METAL_STEPS * settings.second.iterations)))
+        settings = replace(settings, second=replace(settings.second, iterations=round(METAL_STEPS_FACTOR * settings.second.iterations)))
     progress.phase("refine", settings.second.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed), settings.first.subpixels)
     if not pool.count:
@@ -109,18 +109,18 @@ def prepare_refinements(
     """
     megabytes = len(pool.lists.index) * 12 / 1e6
     evidence = f"the surfels of {pool.count:,} pixels take {megabytes:.0f} MB"
-    cache_hits = decide_skip_rule(settings.skip, "cache_hits", megabytes < CACHED_MEGABYTES, evidence, progress)
+    cache_hits = decide_skip_rule(settings.skip, "cache_hits", megabytes < MAX_CACHED_MEGABYTES, evidence, progress)
     tracer.repack = not cache_hits
     cameras = () if cache_hits else cameras
     return [Refinement(start, pool, tracer, settings.second, settings.seed, cameras=cameras) for start in starts]
 
 
 def _best_after_trial(refinements: Sequence[Refinement], progress: Progress) -> Refinement:
-    """Refine each for the share TRIAL of the schedule, if there are several; return the best on held-back views."""
+    """Refine each for the share TRIAL_SHARE of the schedule, if there are several; return the best on held-back views."""
     if len(refinements) == 1:
         return refinements[0]
     for refinement in refinements:
-        refinement.run(_until(int(TRIAL * refinement.settings.iterations), progress))
+        refinement.run(_until(int(TRIAL_SHARE * refinement.settings.iterations), progress))
     return max(refinements, key=lambda refinement: refinement.test())
 
 
@@ -138,9 +138,9 @@ def _scale_to_deadline(
 ) -> float:
     """Do the first steps of one, and scale the schedules so that all end by the deadline; returns the schedule scale."""
     now = time.monotonic()
-    alone = now + (deadline - now) / (1 + TRIAL * (len(refinements) - 1))
+    alone = now + (deadline - now) / (1 + TRIAL_SHARE * (len(refinements) - 1))
     scale_for = lambda left, step: second_stage_schedule_scale(settings, dataset, left, step)  # noqa: E731
-    schedule_scale, report = scale_schedule(refinements[0], "second stage", alone, scale_for, SECOND_STAGE_LARGEST_SCALE)
+    schedule_scale, report = scale_schedule(refinements[0], "second stage", alone, scale_for, MAX_SECOND_STAGE_SCALE)
     for refinement in refinements[1:]:
         refinement.reschedule(refinements[0].settings.iterations)
     progress.phase("refine", refinements[0].settings.iterations)

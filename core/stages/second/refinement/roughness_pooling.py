@@ -17,13 +17,13 @@ from ....scene.reconstruction import Reconstruction
 from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METALLIC_THRESHOLD
 
-SOURCES = 5000  # surfels, drawn at random, whose roughness others may take
-NEAREST = 128  # of them around a surfel: some 3 per cent of the surface
+MAX_SOURCES = 5000  # surfels, drawn at random, whose roughness others may take
+NEAREST_SOURCES = 128  # of them around a surfel: some 3 per cent of the surface
 BATCH = 4096  # surfels at a time
-POWER = 6.0  # of the confidence, in the weight of a roughness
-OWN = 8.0  # factor of a surfel's own weight
-SIMILARITY = 4.0  # exponential decay of the weight with the difference of albedos, summed over the colours
-EDGE = 2e-3  # roughness is kept this far inside 0..1, so that its logit is finite
+CONFIDENCE_POWER = 6.0  # of the confidence, in the weight of a roughness
+OWN_WEIGHT = 8.0  # factor of a surfel's own weight
+ALBEDO_DECAY = 4.0  # exponential decay of the weight with the difference of albedos, summed over the colours
+LOGIT_MARGIN = 2e-3  # roughness is kept this far inside 0..1, so that its logit is finite
 
 
 def with_pooled_roughness(reconstruction: Reconstruction, seed: int) -> Reconstruction:
@@ -38,7 +38,7 @@ def with_pooled_roughness(reconstruction: Reconstruction, seed: int) -> Reconstr
     gaussians, confidence = reconstruction.gaussians, reconstruction.confidence[1].cpu().numpy()
     roughness = pooled_roughness(gaussians, confidence, np.random.default_rng(seed))
     material = gaussians.material.clone()
-    material[ROUGHNESS] = torch.logit(torch.from_numpy(roughness.clip(EDGE, 1 - EDGE))).to(material)
+    material[ROUGHNESS] = torch.logit(torch.from_numpy(roughness.clip(LOGIT_MARGIN, 1 - LOGIT_MARGIN))).to(material)
     return replace(reconstruction, gaussians=replace(gaussians, material=material))
 
 
@@ -51,9 +51,9 @@ def pooled_roughness(gaussians: Gaussians, confidence: np.ndarray, random: np.ra
         random: random generator of the choice of sources.
     """
     position, materials = gaussians.position.T, gaussians.materials().detach().cpu().numpy()
-    sources = random.permutation(len(position))[:SOURCES]
-    around = sources[nearest_neighbours(position[sources], position, NEAREST).cpu().numpy()]
-    known = np.maximum(confidence, 1e-6).astype(np.float64) ** POWER
+    sources = random.permutation(len(position))[:MAX_SOURCES]
+    around = sources[nearest_neighbours(position[sources], position, NEAREST_SOURCES).cpu().numpy()]
+    known = np.maximum(confidence, 1e-6).astype(np.float64) ** CONFIDENCE_POWER
     pooled = np.empty(len(position), np.float32)
     for begin in range(0, len(position), BATCH):
         part = slice(begin, begin + BATCH)
@@ -64,9 +64,9 @@ def pooled_roughness(gaussians: Gaussians, confidence: np.ndarray, random: np.ra
 def _pooled(materials: np.ndarray, known: np.ndarray, own: np.ndarray, around: np.ndarray) -> np.ndarray:
     """Return the pooled roughness (M,) of the surfels `own` (M,) with the sources `around` (M, K) of each."""
     albedo, metal = materials[ALBEDO], materials[METALLIC] > METALLIC_THRESHOLD
-    alike = np.exp(-SIMILARITY * np.abs(albedo[:, around] - albedo[:, own, None]).sum(0)) * (metal[around] == metal[own, None])
+    alike = np.exp(-ALBEDO_DECAY * np.abs(albedo[:, around] - albedo[:, own, None]).sum(0)) * (metal[around] == metal[own, None])
     weight = alike * known[around]
     total = np.maximum(weight.sum(1), 1e-30)
     others, their_weight = (weight * materials[ROUGHNESS][around]).sum(1) / total, (weight * known[around]).sum(1) / total
-    share = OWN * known[own] / (OWN * known[own] + their_weight)
+    share = OWN_WEIGHT * known[own] / (OWN_WEIGHT * known[own] + their_weight)
     return share * materials[ROUGHNESS][own] + (1 - share) * others

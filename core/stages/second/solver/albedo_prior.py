@@ -7,14 +7,14 @@ import torch
 
 # Albedos to start from. From a medium one, the solver does not find the light of a dark glossy object, which is far brighter: it paints the
 # reflections on. A black camera's light became 17.6 instead of 7.4 dB.
-MEDIUM, DARK = 0.5, 0.1
-CONSTANT = 3  # first steps, with one albedo for all points
-RELEASE = 12  # steps over which the weight of the prior falls
-PRIOR = (1.0, 0.03)  # first and last weight after these
-FIXED = 1e3  # weight in these, far above that of a point's samples
-DARKEST = 0.02  # least albedo by which the weight is divided
-COLOURS = 0.15  # difference in log albedo below which two points count as being of one colour
-SAMPLE = 1000  # points that each point's colour is compared with
+MEDIUM_ALBEDO, DARK_ALBEDO = 0.5, 0.1
+CONSTANT_STEPS = 3  # first steps, with one albedo for all points
+RELEASE_STEPS = 12  # steps over which the weight of the prior falls
+RELEASE_WEIGHTS = (1.0, 0.03)  # first and last weight after these
+CONSTANT_WEIGHT = 1e3  # weight in these, far above that of a point's samples
+MIN_ALBEDO = 0.02  # least albedo by which the weight is divided
+SAME_COLOUR_DIFFERENCE = 0.15  # difference in log albedo below which two points count as being of one colour
+COMPARED_POINTS = 1000  # points that each point's colour is compared with
 
 
 def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch.Generator) -> tuple[torch.Tensor, torch.Tensor]:
@@ -29,17 +29,17 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
     Returns:
         (P, 3) each.
     """
-    if done < CONSTANT:
-        return torch.full_like(albedo, start), torch.full_like(albedo, FIXED)
+    if done < CONSTANT_STEPS:
+        return torch.full_like(albedo, start), torch.full_like(albedo, CONSTANT_WEIGHT)
     log_albedo = albedo.log()
-    others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:SAMPLE].to(log_albedo.device)]
+    others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:COMPARED_POINTS].to(log_albedo.device)]
     similarity = colour_likeness(log_albedo, others)
     total = similarity.sum(1, keepdim=True)
-    strength = PRIOR[0] * (PRIOR[1] / PRIOR[0]) ** min(1.0, (done - CONSTANT) / RELEASE)
-    pull = strength * total / len(others) / albedo.clamp_min(DARKEST) ** 2 + 1e-6
+    strength = RELEASE_WEIGHTS[0] * (RELEASE_WEIGHTS[1] / RELEASE_WEIGHTS[0]) ** min(1.0, (done - CONSTANT_STEPS) / RELEASE_STEPS)
+    pull = strength * total / len(others) / albedo.clamp_min(MIN_ALBEDO) ** 2 + 1e-6
     return (similarity @ others / total).exp(), pull
 
 
 def colour_likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
     """Return by how much points with log albedos (P, 3) are of the colour of others (S, 3): (P, S), 1 for equal ones."""
-    return 1 / (1 + torch.cdist(log_albedo, others).square() / COLOURS**2) ** 2
+    return 1 / (1 + torch.cdist(log_albedo, others).square() / SAME_COLOUR_DIFFERENCE**2) ** 2

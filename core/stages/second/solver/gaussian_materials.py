@@ -19,16 +19,16 @@ from ..metal import METALLIC_THRESHOLD
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
-from .sample_equation import OUTLIER, approximate_srgb_derivative, least_squares_albedo, view_terms
+from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, least_squares_albedo, view_terms
 from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
-NEAREST = 8  # solver points that decide by their majority whether a Gaussian is metal
-ALIKE = 16  # solver points of which those that are metal, or are not, as the Gaussian give their mean roughness
+MAJORITY_POINTS = 8  # solver points that decide by their majority whether a Gaussian is metal
+ROUGHNESS_POINTS = 16  # solver points of which those that are metal, or are not, as the Gaussian give their mean roughness
 BATCH = 4000  # Gaussians traced at a time
-REWEIGHTED = 7  # passes of iteratively reweighted least squares after a first one with equal weights
-AROUND = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
-EDGE = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
+REWEIGHTING_PASSES = 7  # passes of iteratively reweighted least squares after a first one with equal weights
+MEDIAN_NEIGHBOURS = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
+LOGIT_MARGIN = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
 
 
 def assign_materials(
@@ -79,16 +79,16 @@ def assign_materials(
         on_fraction(min(1.0, (begin + BATCH) / len(albedo)))
     metal = metallic > 0
     albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
-    materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(EDGE, 1 - EDGE)
+    materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)
     return materials[nearest_neighbours(samples.position, g.position.T, 1)[:, 0]].T.contiguous()
 
 
 def nearest_materials(
     points: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, position: torch.Tensor
 ) -> tuple[torch.Tensor, torch.Tensor]:
-    """Take metallic from the majority of the NEAREST points, and roughness from those of the ALIKE nearest that are metal, or are not, too.
+    """Take metallic from the majority of the nearest points, and roughness from those that are metal, or are not, too.
 
-    A mean over both sides of an edge is the roughness of neither.
+    MAJORITY_POINTS count for metallic, ROUGHNESS_POINTS for roughness. A mean over both sides of an edge is the roughness of neither.
 
     Args:
         points: (P, 3) world.
@@ -99,9 +99,9 @@ def nearest_materials(
     Returns:
         Roughness (N,), and metallic (N,), 0 or 1.
     """
-    around = nearest_neighbours(points, position, ALIKE)
+    around = nearest_neighbours(points, position, ROUGHNESS_POINTS)
     metal = metallic[around] > METALLIC_THRESHOLD
-    is_metal = metal[:, :NEAREST].float().mean(1) > METALLIC_THRESHOLD
+    is_metal = metal[:, :MAJORITY_POINTS].float().mean(1) > METALLIC_THRESHOLD
     alike = (metal == is_metal[:, None]).float()
     return (alike * roughness[around]).sum(1) / alike.sum(1), is_metal.float()
 
@@ -150,9 +150,9 @@ def fitted_albedo(
     derivative = approximate_srgb_derivative(samples.colour)
     # At first all samples of a point weigh the same in linear radiance: by the derivative a wrongly dark one would dominate.
     albedo = least_squares_albedo(samples, torch.ones_like(factor), factor, rest)
-    for _ in range(REWEIGHTED):
+    for _ in range(REWEIGHTING_PASSES):
         error = (albedo[point] * factor + rest - samples.colour) * derivative
-        weight = torch.where(samples.saturated & (error > 0), 0.0, derivative**2 / (1 + (error / OUTLIER) ** 2))
+        weight = torch.where(samples.saturated & (error > 0), 0.0, derivative**2 / (1 + (error / CAUCHY_SCALE) ** 2))
         fit = least_squares_albedo(samples, weight, factor, rest)
         # Where all samples of a point are clipped and the model is brighter, no sample tells more: the albedo stays as it is.
         albedo = torch.where(samples.sums(weight) > 0, fit, albedo)
@@ -160,7 +160,7 @@ def fitted_albedo(
 
 
 def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-    """Compute medians of values over the AROUND nearest points.
+    """Compute medians of values over the MEDIAN_NEIGHBOURS nearest points.
 
     The albedo of a metal is its observed over its expected reflection. A small error of the normal reflects another part of the light,
     so that the albedo of a single surfel is unreliable.
@@ -174,4 +174,4 @@ def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch
     """
     if not len(position):
         return values
-    return values[nearest_neighbours(position, position, AROUND)].median(1).values
+    return values[nearest_neighbours(position, position, MEDIAN_NEIGHBOURS)].median(1).values

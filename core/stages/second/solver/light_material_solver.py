@@ -29,29 +29,30 @@ import torch
 
 from ...common.finite_check import require_finite
 from ..metal import MEAN_METALLIC_THRESHOLD
-from .albedo_prior import CONSTANT, DARK, MEDIUM, albedo_prior
+from .albedo_prior import CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, albedo_prior
 from .light_prior import LightPrior
 from .linear_system import solve_positive
 from .material_search import MaterialSearch
 from .metal_normals import reflected_normals
-from .metal_regions import EVIDENCE, confirm_metal, sharp_regions
+from .metal_regions import MIN_REGION_GAIN, confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
-from .sample_equation import OUTLIER, approximate_srgb_derivative, robust_error
+from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error
 from .sample_radiance import SampleRadiance
 
 STEPS = 44  # Gauss-Newton steps of the light; all else is scheduled by the number of steps done
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # roughness and metallic are searched when so many steps are done
-METAL_TEST = 28  # one of these, at which the candidates for metal are tested instead; points join them before it
-METAL_BORDERS = 38  # one of these, at which the borders of metal are drawn anew: the light has adapted to the metal by then
+METAL_TEST_STEP = 28  # one of these, at which the candidates for metal are tested instead; points join them before it
+METAL_BORDERS_STEP = 38  # one of these, at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # steps in which the light adapts to each hypothesis of the test
-# A Hessian of the light costs most of a step. It counts for KEPT steps at most, while the materials stay and the last step changed the log
-# light by less than MOVED (root mean square): with older ones, the solver found none of the metal on rocker_corner.
-KEPT, MOVED = 4, 0.15
-LOOSENED = 4.0  # factor of OUTLIER after a split of the light, which halves with each step: at first, highlights would count as outliers
+# A Hessian of the light costs most of a step. It counts for so many steps at most, while the materials stay and the last step changed the
+# log light by less than MAX_HESSIAN_STEP (root mean square): with older ones, the solver found none of the metal on rocker_corner.
+MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
+# Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
+SPLIT_CAUCHY_FACTOR = 4.0
 TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
 DAMPING = 1e-3  # fraction of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
-LARGEST_STEP, LOG_LIGHT = 1, (-9, 7)  # largest change of a texel's log radiance in a step, and its range
+MAX_LOG_STEP, LOG_LIGHT_RANGE = 1, (-9, 7)  # largest change of a texel's log radiance in a step, and its range
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
@@ -70,7 +71,7 @@ class LightMaterialSolver:
         derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
-        start_albedo: albedo of all points in the first steps: MEDIUM, or DARK where that start explained the photographs better.
+        start_albedo: albedo of all points in the first steps: MEDIUM_ALBEDO, or DARK_ALBEDO where that explained the photographs better.
         regions: number of regions that were tested, and of those that are metal.
         metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
@@ -99,8 +100,8 @@ class LightMaterialSolver:
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
-        self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM)
-        self.albedo, self.start_albedo = torch.full_like(mean, MEDIUM), MEDIUM
+        self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM_ALBEDO)
+        self.albedo, self.start_albedo = torch.full_like(mean, MEDIUM_ALBEDO), MEDIUM_ALBEDO
         self.derivative = approximate_srgb_derivative(samples.colour)
         self.robust_weight = torch.ones_like(samples.colour)
         self._light_prior = LightPrior(transfer.texels, mean.device)
@@ -109,7 +110,7 @@ class LightMaterialSolver:
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
         self._moved = math.inf  # root mean square of the last step of the log light
-        self._loosened = 1.0  # factor of OUTLIER in the next step
+        self._loosened = 1.0  # factor of CAUCHY_SCALE in the next step
         self._update_model()
 
     @property
@@ -146,7 +147,8 @@ class LightMaterialSolver:
 
     def start_dark(self) -> None:
         """Start from a dark albedo under a bright light instead."""
-        self.albedo, self.start_albedo, self.light = torch.full_like(self.albedo, DARK), DARK, self.light * (MEDIUM / DARK)
+        self.albedo, self.start_albedo = torch.full_like(self.albedo, DARK_ALBEDO), DARK_ALBEDO
+        self.light = self.light * (MEDIUM_ALBEDO / DARK_ALBEDO)
 
     def light_map(self, height: int) -> torch.Tensor:
         """Return the light as a lat-long map (height, 2 height, 3), linear radiance."""
@@ -159,7 +161,7 @@ class LightMaterialSolver:
         self._light_prior = LightPrior(self.transfer.texels, self.light.device)
         self._diffuse = self.transfer.diffuse_rows(self.samples)
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
-        self._loosened = LOOSENED
+        self._loosened = SPLIT_CAUCHY_FACTOR
         self._update_model()
 
     def turn_metal(self) -> None:
@@ -207,14 +209,14 @@ class LightMaterialSolver:
         samples, y = self.samples, self.samples.colour
         factor, rest = self._model.terms(self.light)
         error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
-        robust = 1 / (1 + (error / (self._loosened * OUTLIER)) ** 2) if done >= CONSTANT else torch.ones_like(error)
+        robust = 1 / (1 + (error / (self._loosened * CAUCHY_SCALE)) ** 2) if done >= CONSTANT_STEPS else torch.ones_like(error)
         self._loosened = max(1.0, self._loosened / 2)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
         weight = self.robust_weight * self.derivative**2
         anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
-        if self._hessian is None or self._age >= KEPT or self._moved > MOVED:
+        if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP:
             self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, total), 0
         self._age += 1
         residual = self.albedo[samples.point] * factor + rest - y
@@ -236,19 +238,19 @@ class LightMaterialSolver:
             right = light * gradient[:, c] + smoothness @ log_light[:, c]
             steps.append(solve_positive(damped.double(), right.double()).float())
             self._curvature[c] = hessian.sum()
-        step = torch.stack(steps, 1).clamp(-LARGEST_STEP, LARGEST_STEP)
-        self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT).exp())
+        step = torch.stack(steps, 1).clamp(-MAX_LOG_STEP, MAX_LOG_STEP)
+        self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT_RANGE).exp())
         self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 
     def _search_materials(self, done: int) -> None:
-        """Search roughness and metallic; test the candidates for metal at METAL_TEST, draw its borders anew at METAL_BORDERS."""
-        if done == METAL_TEST and bool(self.candidates.any()):
+        """Search roughness and metallic; test the candidates for metal at METAL_TEST_STEP, draw its borders anew at METAL_BORDERS_STEP."""
+        if done == METAL_TEST_STEP and bool(self.candidates.any()):
             self._test_metal()
             return
         costs, metal = self._costs(), self.candidates & (self.metallic > 0)
-        if self._search_metal and done < METAL_TEST:
+        if self._search_metal and done < METAL_TEST_STEP:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
-        elif done == METAL_BORDERS:
+        elif done == METAL_BORDERS_STEP:
             metal = self._completed_metal(self._search.redrawn_metal(costs, metal))
         # Sooner, the prior would settle on a roughness before the light does, see `roughness_prior`.
         self._set_materials(costs, metal, with_prior=done == MATERIAL_STEPS[-1])
@@ -273,7 +275,7 @@ class LightMaterialSolver:
         if float(metal.float().mean()) <= MEAN_METALLIC_THRESHOLD or bool(metal.all()):
             return metal
         mixed, whole = (float(self._adapted(points)[1].sum()) for points in (metal, torch.ones_like(metal)))
-        return torch.ones_like(metal) if whole - mixed <= EVIDENCE * mixed else metal
+        return torch.ones_like(metal) if whole - mixed <= MIN_REGION_GAIN * mixed else metal
 
     def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""

@@ -22,7 +22,7 @@ from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METALLIC_THRESHOLD, is_mostly_metal
 from ..secondary_tracer import secondary_tracer
 from ..step_report import report_step
-from .albedo_prior import MEDIUM
+from .albedo_prior import MEDIUM_ALBEDO
 from .light_material_solver import STEPS, LightMaterialSolver, Split
 from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -185,7 +185,7 @@ def _solve_from_better_start(solve: Callable[[bool], LightMaterialSolver], allow
     Before its metal is known, an object with metal parts looks darker than it is: what both starts end with decides.
     """
     solver = solve(allow_dark)
-    if solver.start_albedo < MEDIUM and not progress.finish_early:
+    if solver.start_albedo < MEDIUM_ALBEDO and not progress.finish_early:
         progress.message("the best fit has a dark albedo: solved again from a medium albedo, to compare")
         solver = min(solver, solve(False), key=lambda one: one.total_error())
     return solver
@@ -193,7 +193,7 @@ def _solve_from_better_start(solve: Callable[[bool], LightMaterialSolver], allow
 
 def _report_result(solver: LightMaterialSolver, progress: Progress) -> None:
     """Report in words what a solver found."""
-    if solver.start_albedo < MEDIUM:
+    if solver.start_albedo < MEDIUM_ALBEDO:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():
         progress.message("the light is subdivided where it is bright")

@@ -16,10 +16,11 @@ import torch
 from .light_texels import LightTexels
 
 SMOOTHNESS = 1e-7  # weight of the log light's differences, per pair of neighbouring texels
-TINT = 0.2  # log tint of the mean light above which it is unlikely; 0.02 to 0.16 in seven of eight lights of test scenes
+MAX_LIKELY_TINT = 0.2  # log tint of the mean light above which it is unlikely; 0.02 to 0.16 in seven of eight lights of test scenes
 NEWTON_STEPS = 60  # each takes at most a third off a tint that is much too large
-INDEPENDENT = 50  # number of independent errors of the photographs, whose neighbours and views err alike
-SLOPE = 2.55  # change of the log light per radian at which the weight of a pair is halved; 0.5 between texels of a map of 16 rows
+INDEPENDENT_ERRORS = 50  # number of independent errors of the photographs, whose neighbours and views err alike
+# Change of the log light per radian at which the weight of a pair is halved; 0.5 between texels of a map of 16 rows.
+HALF_WEIGHT_SLOPE = 2.55
 
 
 class LightPrior:
@@ -32,7 +33,7 @@ class LightPrior:
 
     def __init__(self, texels: LightTexels, device: torch.device | str) -> None:
         pairs, weight, distance = (torch.from_numpy(part).to(device) for part in texels.pairs)
-        self._texels, self._pairs, self._weight, self._edge = texels.count, pairs, weight.float(), SLOPE * distance.float()
+        self._texels, self._pairs, self._weight, self._edge = texels.count, pairs, weight.float(), HALF_WEIGHT_SLOPE * distance.float()
         self._solid_angles = torch.from_numpy(texels.solid_angles).float().to(device)
 
     def form(self, light: torch.Tensor) -> torch.Tensor:
@@ -60,7 +61,7 @@ class LightPrior:
     def likely_tint(self, light: torch.Tensor, curvature: torch.Tensor, error: float) -> torch.Tensor:
         """Return the most likely log tint (3,) of a light, between that which fits the photographs best and none.
 
-        The prior's negative logarithm is (t / TINT)^4 / 4: small tints are all alike likely, large ones hardly.
+        The prior's negative logarithm is (t / MAX_LIKELY_TINT)^4 / 4: small tints are all alike likely, large ones hardly.
 
         Args:
             light: (T, 3) linear radiance that fits the photographs best.
@@ -68,8 +69,8 @@ class LightPrior:
             error: median of their absolute errors.
         """
         fitted = tint = self.tint(light)
-        variance = (error / 0.6745) ** 2 / INDEPENDENT  # of the mean; 0.6745: the median of a normal distribution's absolute values
-        cubic = variance / (curvature.clamp_min(1e-30) * TINT**4)
+        variance = (error / 0.6745) ** 2 / INDEPENDENT_ERRORS  # of the mean; 0.6745: the median of a normal distribution's absolute values
+        cubic = variance / (curvature.clamp_min(1e-30) * MAX_LIKELY_TINT**4)
         for _ in range(NEWTON_STEPS):
             tint = tint - (tint + cubic * tint**3 - fitted) / (1 + 3 * cubic * tint**2)
         return tint - tint.mean()

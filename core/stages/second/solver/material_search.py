@@ -9,7 +9,7 @@ import torch
 
 from ....shading.specular_albedo import diffuse_fraction
 from .metal_cut import cut_metal
-from .metal_regions import SUPPORT, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
+from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
@@ -17,8 +17,8 @@ from .roughness_prior import with_roughness_prior
 from .sample_equation import least_squares_albedo, robust_error, view_terms
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
-NOISE = 1.0  # robust error of a view, about, that noise alone makes; the ratio of errors below it tells nothing
-METAL_ROUGHNESS = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
+NOISE_ERROR = 1.0  # robust error of a view, about, that noise alone makes; the ratio of errors below it tells nothing
+METAL_ROUGHNESS_COUNT = 10  # so many of these, the lowest, are searched for a metal; a rougher one looks like a dielectric
 
 
 class MaterialSearch:
@@ -83,7 +83,7 @@ class MaterialSearch:
 
     def roughness(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
         """Return the roughness (P,) of least cost of points that are metal where `metal` (P,) is True."""
-        as_metal = parabola_minimum(self._knots[:METAL_ROUGHNESS], costs[:, -1, :METAL_ROUGHNESS])
+        as_metal = parabola_minimum(self._knots[:METAL_ROUGHNESS_COUNT], costs[:, -1, :METAL_ROUGHNESS_COUNT])
         return torch.where(metal, as_metal, parabola_minimum(self._knots, costs[:, 0]))
 
     def likely_roughness(self, costs: torch.Tensor, metal: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
@@ -111,13 +111,13 @@ class MaterialSearch:
         """
         for _ in range(SUPPORT_PASSES):
             gain = self._smoothed(gain)
-        return candidates & (gain > SUPPORT * self._views)
+        return candidates & (gain > MIN_SUPPORT_GAIN * self._views)
 
     def redrawn_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
         """Redraw the borders of the metal `metal` (P,) bool by costs (P, M, J) that are known better now, see `cut_metal`."""
         if not bool(metal.any()):
             return metal
-        dielectric, conductor = (least / self._views + NOISE for least in self._least(costs))
+        dielectric, conductor = (least / self._views + NOISE_ERROR for least in self._least(costs))
         return cut_metal((dielectric / conductor).log(), metal, self._neighbours, self._similarity)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
@@ -133,7 +133,7 @@ class MaterialSearch:
     def _least(costs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Return the least cost (P,) of each point as a dielectric, and as a metal."""
         dielectric, metal = costs.unbind(1)
-        return dielectric.amin(1), metal[:, :METAL_ROUGHNESS].amin(1)
+        return dielectric.amin(1), metal[:, :METAL_ROUGHNESS_COUNT].amin(1)
 
     def _smoothed(self, values: torch.Tensor) -> torch.Tensor:
         """Average values (P, ...) over the neighbours of each point, by similarity of colour."""

@@ -16,10 +16,10 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 # Added to the evidence of a point near metal, and weight of its links to its neighbours. In three runs each, points of another material
 # that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 50 and 57 by the cut; rocker_corner 13
 # and 57, 1 and 70; suzanne_mixed 5 and 24, 3 and 18.
-PRIOR, COUPLING = 0.06, 0.75
-NEAR = 4  # rings of neighbours around metal that may become metal
-LIMIT = 100.0  # of the evidence; the links of a point sum to about 2 COUPLING, so that more decides by itself
-CAPACITY = 10_000  # capacities are integers, in this fraction of the evidence's unit
+METAL_PRIOR, NEIGHBOUR_COUPLING = 0.06, 0.75
+MAX_RINGS = 4  # rings of neighbours around metal that may become metal
+MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about 2 NEIGHBOUR_COUPLING, so that more decides by itself
+CAPACITY_SCALE = 10_000  # capacities are integers, in this fraction of the evidence's unit
 
 
 def cut_metal(evidence: torch.Tensor, metal: torch.Tensor, neighbours: torch.Tensor, similarity: torch.Tensor) -> torch.Tensor:
@@ -32,13 +32,13 @@ def cut_metal(evidence: torch.Tensor, metal: torch.Tensor, neighbours: torch.Ten
         similarity: (P, N) weights of these, which sum to 1.
 
     Returns:
-        (P,) bool: metal, at most NEAR rings of neighbours beyond what was metal.
+        (P,) bool: metal, at most MAX_RINGS rings of neighbours beyond what was metal.
     """
     near = metal
-    for _ in range(NEAR):
+    for _ in range(MAX_RINGS):
         near = near | near[neighbours].any(1)
-    value = np.where(near.cpu(), evidence.cpu().double() + PRIOR, -LIMIT).clip(-LIMIT, LIMIT)
-    link = 0.5 * COUPLING * similarity.cpu().double().numpy()
+    value = np.where(near.cpu(), evidence.cpu().double() + METAL_PRIOR, -MAX_EVIDENCE).clip(-MAX_EVIDENCE, MAX_EVIDENCE)
+    link = 0.5 * NEIGHBOUR_COUPLING * similarity.cpu().double().numpy()
     return torch.from_numpy(_source_side(_graph(value, neighbours.cpu().numpy(), link))).to(metal.device)
 
 
@@ -54,7 +54,7 @@ def _graph(value: np.ndarray, neighbours: np.ndarray, link: np.ndarray) -> csr_m
     one, other, link = one[between], other[between], link.reshape(-1)[between]
     begin, end = np.concatenate([one, other, source, point]), np.concatenate([other, one, point, sink])
     capacity = np.concatenate([link, link, value.clip(0), (-value).clip(0)])
-    whole = np.round(CAPACITY * capacity).astype(np.int32)
+    whole = np.round(CAPACITY_SCALE * capacity).astype(np.int32)
     return csr_matrix(coo_matrix((whole, (begin, end)), (count + 2, count + 2)))
 
 

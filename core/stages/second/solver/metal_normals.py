@@ -22,10 +22,10 @@ from .parabola import parabola_minimum
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import approximate_srgb_derivative, least_squares_albedo, robust_error
 
-ROUGHNESS = ROUGHNESS_VALUES[:9]  # searched
-STEP, RINGS = math.radians(4), 4  # distance of the rings of normals that are tried, and their number
-PRIOR = 0.15  # robust error of a view that a turn by STEP costs; it rises with the square of the turn
-ALIKE = 64  # nearest points that share their roughness
+SEARCHED_ROUGHNESS = ROUGHNESS_VALUES[:9]  # searched
+RING_ANGLE, RINGS = math.radians(4), 4  # distance of the rings of normals that are tried, and their number
+TURN_COST = 0.15  # robust error of a view that a turn by RING_ANGLE costs; it rises with the square of the turn
+ROUGHNESS_NEIGHBOURS = 64  # nearest points that share their roughness
 
 
 def reflected_normals(
@@ -42,7 +42,7 @@ def reflected_normals(
     Returns:
         (P, 3) unit normals, and roughness (P,).
     """
-    knots = light.new_tensor(ROUGHNESS)
+    knots = light.new_tensor(SEARCHED_ROUGHNESS)
     least, normal = search_normals(samples, transfer, light, surface_normal, knots)
     shared = _averaged(samples.position, least)
     row = torch.arange(len(normal), device=normal.device)
@@ -67,7 +67,7 @@ def search_normals(
     least = light.new_full((len(around), len(knots)), math.inf)
     normal = around[:, None].repeat(1, len(knots), 1)
     for turn, turned in _turned(around):
-        cost = _errors(replace(samples, normal=turned), transfer, light, knots) + PRIOR * (turn / STEP) ** 2
+        cost = _errors(replace(samples, normal=turned), transfer, light, knots) + TURN_COST * (turn / RING_ANGLE) ** 2
         better = cost < least
         least = torch.where(better, cost, least)
         normal = torch.where(better[..., None], turned[:, None], normal)
@@ -81,7 +81,7 @@ def _turned(normal: torch.Tensor) -> Iterator[tuple[float, torch.Tensor]]:
     along = torch.linalg.cross(normal, across)
     yield 0.0, normal
     for ring in range(1, RINGS + 1):
-        turn = ring * STEP
+        turn = ring * RING_ANGLE
         for direction in np.linspace(0, 2 * math.pi, 6 * ring, endpoint=False):
             tangent = math.cos(direction) * across + math.sin(direction) * along
             yield turn, (math.cos(turn) * normal + math.sin(turn) * tangent).contiguous()
@@ -104,5 +104,5 @@ def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.
 
 
 def _averaged(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:
-    """Average values (P, J) over the ALIKE nearest points."""
-    return values[nearest_neighbours(position, position, ALIKE)].mean(1)
+    """Average values (P, J) over the ROUGHNESS_NEIGHBOURS nearest points."""
+    return values[nearest_neighbours(position, position, ROUGHNESS_NEIGHBOURS)].mean(1)

@@ -4,11 +4,11 @@
 A single point hardly tells metal from a rough dielectric: wrong normals and shadows make either fit a little better. The search has four
 steps (called by `LightMaterialSolver`):
 
-1. Candidates, by two thresholds as in Canny's edge detector: a point needs clear evidence (SURE), unless its neighbours are candidates
-   (POSSIBLE). They count as metal until the test, so that the light adapts to them: else a region that was missed once was seldom found
-   again.
-2. Before the test, light and albedo adapt to the candidates. Those that metal does not explain better then are dropped (SUPPORT). Without
-   this, metal spread in the shadow from a belt to the skin around it.
+1. Candidates, by two thresholds as in Canny's edge detector: a point needs clear evidence (MIN_SURE_GAIN), unless its neighbours are
+   candidates (MIN_POSSIBLE_GAIN). They count as metal until the test, so that the light adapts to them: else a region that was missed once
+   was seldom found again.
+2. Before the test, light and albedo adapt to the candidates. Those that metal does not explain better then are dropped (MIN_SUPPORT_GAIN).
+   Without this, metal spread in the shadow from a belt to the skin around it.
 3. The test: each connected region counts as metal only if the photographs are explained clearly better so, see `confirm_metal`.
 4. A graph cut draws the borders of the confirmed regions anew, see `metal_cut`.
 """
@@ -28,24 +28,25 @@ from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import MEAN_METALLIC_THRESHOLD
 
 NEIGHBOURS = 13  # of a point, the point itself included
-CHROMATICITY, ENCODED = 15, 3  # exponential decay of similarity with differences of chromaticity and of encoded colour, channels summed
-DIM = 0.02  # radiance added to the sum of the channels, so that the chromaticity of dark points tells little
-SURE = 0.4  # gain per view from which a point is a candidate; the gain is a difference of robust costs, see `MaterialSearch`
-POSSIBLE = -0.3  # gain from which a point is a candidate where its neighbours are
-SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
-LINK = 0.02  # similarity from which a neighbour belongs to the same region
-LEAST, MOST = 4, 6  # points of a region, and regions that are tested
+# Exponential decay of similarity with differences of chromaticity and of encoded colour, channels summed.
+CHROMATICITY_DECAY, ENCODED_DECAY = 15, 3
+MIN_CHROMATICITY_SUM = 0.02  # radiance added to the sum of the channels, so that the chromaticity of dark points tells little
+MIN_SURE_GAIN = 0.4  # gain per view from which a point is a candidate; the gain is a difference of robust costs, see `MaterialSearch`
+MIN_POSSIBLE_GAIN = -0.3  # gain from which a point is a candidate where its neighbours are
+MIN_NEIGHBOUR_SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
+MIN_LINK_SIMILARITY = 0.02  # similarity from which a neighbour belongs to the same region
+MIN_REGION_POINTS, MAX_REGIONS = 4, 6  # points of a region, and regions that are tested
 # Least gain of a region as a share of the robust error of all samples. Regions of metal gained 0.014 and more on rocker_corner, whose
 # normals are wrong there, on capture_ogre and on suzanne_mixed; others up to 0.005 there and on spot_rough.
-EVIDENCE = 0.009
-# A large region needs a larger gain: DENSITY times its share of the points. Leaves of a captured plant, which are no metal, gained 0.23 and
-# 0.27 times their share; regions of metal that gained EVIDENCE, on five scenes, 0.49 times and more.
-DENSITY = 0.35
+MIN_REGION_GAIN = 0.009
+# A large region needs a larger gain: MIN_GAIN_PER_SHARE times its share of the points. Leaves of a captured plant, which are no metal,
+# gained 0.23 and 0.27 times their share; regions of metal that gained MIN_REGION_GAIN, on five scenes, 0.49 times and more.
+MIN_GAIN_PER_SHARE = 0.35
 # Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
 # better. Such regions had .79 and more on four scenes, regions of metal .35 to .69 on seven. Two false ones were sharper (.69, and below .6
-# on a black object), and did not gain EVIDENCE.
-ROUGHEST = 0.75
-SUPPORT, SUPPORT_PASSES = 0.1, 3  # gain per view, with an adapted light, from which a candidate stays one; passes that average it
+# on a black object), and did not gain MIN_REGION_GAIN.
+MAX_METAL_ROUGHNESS = 0.75
+MIN_SUPPORT_GAIN, SUPPORT_PASSES = 0.1, 3  # gain per view, with an adapted light, from which a candidate stays one; passes that average it
 
 Solution = TypeVar("Solution")
 
@@ -61,9 +62,9 @@ def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.T
         Indices (P, N), and weights by similarity of colour (P, N) that sum to 1.
     """
     index = nearest_neighbours(position, position, NEIGHBOURS)
-    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + DIM), encode_srgb(colour)
-    difference = CHROMATICITY * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1)
-    difference = difference + ENCODED * (encoded[:, None] - encoded[index]).abs().sum(-1)
+    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + MIN_CHROMATICITY_SUM), encode_srgb(colour)
+    difference = CHROMATICITY_DECAY * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1)
+    difference = difference + ENCODED_DECAY * (encoded[:, None] - encoded[index]).abs().sum(-1)
     similarity = torch.exp(-difference)
     return index, similarity / similarity.sum(1, keepdim=True)
 
@@ -79,9 +80,9 @@ def grow_metal(gain: torch.Tensor, neighbours: torch.Tensor, similarity: torch.T
     Returns:
         (P,) bool.
     """
-    metal, possible = gain > SURE, gain > POSSIBLE
+    metal, possible = gain > MIN_SURE_GAIN, gain > MIN_POSSIBLE_GAIN
     while True:
-        grown = metal | (possible & ((similarity * metal[neighbours]).sum(1) > SHARE))
+        grown = metal | (possible & ((similarity * metal[neighbours]).sum(1) > MIN_NEIGHBOUR_SHARE))
         if bool((grown == metal).all()):
             return metal
         metal = grown
@@ -96,16 +97,16 @@ def connected_regions(metal: torch.Tensor, neighbours: torch.Tensor, similarity:
         similarity: (P, N) weights of these.
 
     Returns:
-        Up to MOST masks (P,) bool of regions with LEAST points or more, the largest first.
+        Up to MAX_REGIONS masks (P,) bool of regions with MIN_REGION_POINTS points or more, the largest first.
     """
-    linked = metal[:, None] & metal[neighbours] & (similarity > LINK)
+    linked = metal[:, None] & metal[neighbours] & (similarity > MIN_LINK_SIMILARITY)
     row, column = torch.nonzero(linked, as_tuple=True)
     pairs = (row.cpu().numpy(), neighbours[row, column].cpu().numpy())
     _, label = connected_components(coo_matrix((np.ones(len(row)), pairs), (len(metal), len(metal))), directed=False)
     label = torch.from_numpy(label).to(metal.device)
     names, counts = label[metal].unique(return_counts=True)
-    largest = counts.sort(descending=True, stable=True).indices[:MOST]
-    return [metal & (label == names[k]) for k in largest if counts[k] >= LEAST]
+    largest = counts.sort(descending=True, stable=True).indices[:MAX_REGIONS]
+    return [metal & (label == names[k]) for k in largest if counts[k] >= MIN_REGION_POINTS]
 
 
 def sharp_regions(regions: list[torch.Tensor], roughness: torch.Tensor) -> list[torch.Tensor]:
@@ -115,7 +116,7 @@ def sharp_regions(regions: list[torch.Tensor], roughness: torch.Tensor) -> list[
         regions: masks (P,) bool.
         roughness: (P,) of the points as metal.
     """
-    return [region for region in regions if float(roughness[region].median()) <= ROUGHEST]
+    return [region for region in regions if float(roughness[region].median()) <= MAX_METAL_ROUGHNESS]
 
 
 def confirm_metal(
@@ -153,4 +154,4 @@ def _least_gain(region: torch.Tensor) -> float:
     """Return the gain that a region (P,) bool needs, as a share of the robust error of all samples."""
     share = float(region.float().mean())
     # Whether most of an object is metal is decided by other evidence, too: what the first stage found, and what is left without metal.
-    return EVIDENCE if share > MEAN_METALLIC_THRESHOLD else max(EVIDENCE, DENSITY * share)
+    return MIN_REGION_GAIN if share > MEAN_METALLIC_THRESHOLD else max(MIN_REGION_GAIN, MIN_GAIN_PER_SHARE * share)

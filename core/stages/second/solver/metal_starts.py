@@ -5,8 +5,8 @@ The first stage's light has more detail, since sharp reflections show it. But th
 clipped in the photographs its radiance is too low. The solver's light is coarse, but its brightness is right: it comes from the rendering
 equation, and a clipped value counts as a lower bound.
 
-A solver that explains the photographs well (error below EXPLAINED) gives the only start. Otherwise the two lights are combined. Held-back
-views cannot decide between these cases: after refinement, they preferred the combination on all scenes.
+A solver that explains the photographs well (error below MAX_EXPLAINED_ERROR) gives the only start. Otherwise the two lights are combined.
+Held-back views cannot decide between these cases: after refinement, they preferred the combination on all scenes.
 """
 
 from __future__ import annotations
@@ -17,13 +17,13 @@ from ....scene.gaussians import ALBEDO, ROUGHNESS
 from ....scene.reconstruction import Reconstruction
 from ...common.light_map import resized_light
 from ...common.nearest_neighbours import nearest_neighbours
-from .gaussian_materials import EDGE
+from .gaussian_materials import LOGIT_MARGIN
 from .light_material_solver import LightMaterialSolver
 
 # Median error of the solver, in encoded values, below which its result is the start. It was .004 to .009 on three scenes, which gain 2 to
 # 3 dB of albedo and 4 to 9 dB of light so, and .016 on teapot_glossy, which would lose 1 dB.
-EXPLAINED = 0.011
-DARKEST = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
+MAX_EXPLAINED_ERROR = 0.011
+MIN_DIVISOR = 1e-4  # least mean radiance of a texel, and least albedo, by which is divided
 
 
 def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMaterialSolver) -> list[Reconstruction]:
@@ -35,12 +35,12 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
         solver: its light, its error, and the albedo of its points.
 
     Returns:
-        `solved` alone where the solver's error is below EXPLAINED; else two starts: with the albedo of the solver, and with that of the
-        first stage. Both take metallic of the solver, roughness of the first stage, and its light with the levels of the solver's, of the
-        rows of `solved`. Nothing tells a tint of the light from the metal's own colour: that of the first stage's light goes into the
-        albedo, as the solver's light is about neutral.
+        `solved` alone where the solver's error is below MAX_EXPLAINED_ERROR; else two starts: with the albedo of the solver, and with that
+        of the first stage. Both take metallic of the solver, roughness of the first stage, and its light with the levels of the solver's,
+        of the rows of `solved`. Nothing tells a tint of the light from the metal's own colour: that of the first stage's light goes into
+        the albedo, as the solver's light is about neutral.
     """
-    if solver.error() < EXPLAINED:
+    if solver.error() < MAX_EXPLAINED_ERROR:
         return [solved]
     sharp = resized_light(first.environment, solved.environment.shape[0])
     rows = solver.transfer.texels.height  # of the large texels: the first stage knows better what is smaller
@@ -49,7 +49,7 @@ def metal_starts(first: Reconstruction, solved: Reconstruction, solver: LightMat
     materials[ROUGHNESS] = first.gaussians.material.detach()[ROUGHNESS]
     own = materials.clone()
     albedo = first.gaussians.materials().detach()[ALBEDO] * albedo_ratio(first, solver)[:, None]
-    own[ALBEDO] = torch.logit(albedo.clamp(EDGE, 1 - EDGE))
+    own[ALBEDO] = torch.logit(albedo.clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN))
     return [first.relabelled(materials, light), first.relabelled(own, light)]
 
 
@@ -57,7 +57,7 @@ def albedo_ratio(first: Reconstruction, solver: LightMaterialSolver) -> torch.Te
     """Return the median ratio (3,) of the solver's albedo to the first stage's: light and albedo are only known as a product."""
     g = first.gaussians
     albedo = g.materials().detach()[ALBEDO, nearest_neighbours(g.position.T, solver.samples.position, 1)[:, 0]].T
-    return (solver.albedo / albedo.clamp_min(DARKEST)).median(0).values
+    return (solver.albedo / albedo.clamp_min(MIN_DIVISOR)).median(0).values
 
 
 def levelled_light(detail: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
@@ -71,7 +71,7 @@ def levelled_light(detail: torch.Tensor, levels: torch.Tensor) -> torch.Tensor:
         (H, 2H, 3).
     """
     rows = levels.shape[0]
-    return detail * resized_light(levels / area_means(detail, rows).clamp_min(DARKEST), detail.shape[0])
+    return detail * resized_light(levels / area_means(detail, rows).clamp_min(MIN_DIVISOR), detail.shape[0])
 
 
 def area_means(light: torch.Tensor, rows: int) -> torch.Tensor:

@@ -16,7 +16,7 @@ import torch
 from ....io.srgb import decode_srgb
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.dataset import View, light_rotations
-from ...common.training_view import SATURATED
+from ...common.training_view import MIN_SATURATED
 from .view_choice import ViewChoice, bilinear_pixels, choose_views, image_places
 
 
@@ -138,7 +138,7 @@ def sample_images(
         direction[rows] = towards / np.linalg.norm(towards, axis=1, keepdims=True)
         pixels = bilinear_pixels(image_places(at[rows], view.camera)[0])
         colour[rows] = sum(decode_srgb(image[pixel].astype(np.float64)) * weight[:, None] for pixel, weight in pixels)
-        saturated[rows] = np.any([image[pixel] >= SATURATED for pixel, _ in pixels], axis=0)
+        saturated[rows] = np.any([image[pixel] >= MIN_SATURATED for pixel, _ in pixels], axis=0)
     parts = [position[choice.chosen], normal[choice.chosen], choice.point, direction, colour, saturated]
     if light_rotations(views) is not None:
         parts.append(choice.view)

@@ -15,11 +15,11 @@ import torch
 
 from .albedo_prior import colour_likeness
 
-INDEPENDENT = 5  # number of independent errors of a point, whose views err alike
-FLOOR = 1e-3  # of the prior: no roughness is impossible
-PASSES = 3  # of the expectation maximisation
-SOURCES = 2500  # points, evenly chosen, from which the prior is estimated, at most
-BLOCK = 10_000  # points compared with the sources at a time
+INDEPENDENT_ERRORS = 5  # number of independent errors of a point, whose views err alike
+MIN_PRIOR = 1e-3  # of the prior: no roughness is impossible
+EM_PASSES = 3  # of the expectation maximisation
+MAX_SOURCES = 2500  # points, evenly chosen, from which the prior is estimated, at most
+BATCH = 10_000  # points compared with the sources at a time
 
 
 def with_roughness_prior(costs: torch.Tensor, albedo: torch.Tensor) -> torch.Tensor:
@@ -37,14 +37,14 @@ def with_roughness_prior(costs: torch.Tensor, albedo: torch.Tensor) -> torch.Ten
     # The noise of a point is its least error, or the median of all points' where that is larger. So points whose normals are wrong, which
     # no roughness fits well, count little.
     least = costs.amin(1, keepdim=True)
-    scale = (least.clamp_min(least.median()) / INDEPENDENT).clamp_min(1e-12)  # costs / scale: negative log likelihoods
-    log_albedo, sources = albedo.clamp_min(0.02).log(), slice(None, None, -(-len(costs) // SOURCES))
+    scale = (least.clamp_min(least.median()) / INDEPENDENT_ERRORS).clamp_min(1e-12)  # costs / scale: negative log likelihoods
+    log_albedo, sources = albedo.clamp_min(0.02).log(), slice(None, None, -(-len(costs) // MAX_SOURCES))
     known, others = (-costs / scale)[sources], log_albedo[sources]
     likeness, posterior = _likeness(others, others), torch.softmax(known, 1)
-    for _ in range(PASSES):
-        posterior = torch.softmax(known + (likeness @ posterior + FLOOR).log(), 1)
-    prior = torch.cat([_likeness(block, others) @ posterior for block in log_albedo.split(BLOCK)])
-    return costs - scale * (prior + FLOOR).log()
+    for _ in range(EM_PASSES):
+        posterior = torch.softmax(known + (likeness @ posterior + MIN_PRIOR).log(), 1)
+    prior = torch.cat([_likeness(block, others) @ posterior for block in log_albedo.split(BATCH)])
+    return costs - scale * (prior + MIN_PRIOR).log()
 
 
 def _likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:

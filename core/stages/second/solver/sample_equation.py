@@ -8,7 +8,7 @@ import torch
 from ....shading.brdf import DIELECTRIC_F0
 from .multi_view_samples import MultiViewSamples
 
-OUTLIER = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
+CAUCHY_SCALE = 0.02  # encoded difference at which a sample's robust weight is halved (Cauchy)
 
 
 def view_terms(
@@ -68,4 +68,4 @@ def robust_error(samples: MultiViewSamples, radiance: torch.Tensor, derivative: 
     """
     error = (radiance - samples.colour) * derivative
     error = torch.where(samples.saturated & (error > 0), 0.0, error)
-    return samples.sums(torch.log1p((error / OUTLIER) ** 2).sum(1))
+    return samples.sums(torch.log1p((error / CAUCHY_SCALE) ** 2).sum(1))

@@ -34,12 +34,12 @@ from ...common.nearest_neighbours import nearest_neighbours
 from .multi_view_samples import MultiViewSamples, sample_images
 from .view_choice import choose_views
 
-VIEWS = 4  # samples of each Gaussian, at most
-AROUND = 64  # nearest points over which the colour of the detail is averaged
+MAX_VIEWS = 4  # samples of each Gaussian, at most
+NEIGHBOURS = 64  # nearest points over which the colour of the detail is averaged
 # Share of colour in the detail from which it begins to count as pigment, and from which all of it does. Its median over the surface was .28
 # on the stone face (igea_relief), and .46 to .75 on five objects with patterns of colour.
-SHADING, PIGMENT = 0.3, 0.45
-DARKEST, LARGEST = 0.02, 1.0  # least radiance that detail is divided by, and largest ratio that counts
+MIN_COLOUR_SHARE, FULL_COLOUR_SHARE = 0.3, 0.45
+MIN_RADIANCE, MAX_RATIO = 0.02, 1.0  # least radiance that detail is divided by, and largest ratio that counts
 
 
 def sharp_samples(
@@ -58,7 +58,7 @@ def sharp_samples(
     g, mirrored = reconstruction.gaussians, reconstruction.mirrored()
     position = g.position.T.contiguous().cpu().numpy()
     random, device = np.random.default_rng(seed), g.position.device
-    choice = choose_views(position, normal, views, tracer, random, most=VIEWS, least=1)
+    choice = choose_views(position, normal, views, tracer, random, most=MAX_VIEWS, least=1)
     chosen = torch.from_numpy(choice.chosen).to(device)
     samples = sample_images(position, normal, views, (view.colour for view in views), choice, device)
     own = sh_radiance(g.sh[:, :, chosen[samples.point]], samples.view.T).T.contiguous()
@@ -78,11 +78,11 @@ def pigment_share(samples: MultiViewSamples, detail: torch.Tensor) -> torch.Tens
         samples: K samples of P points.
         detail: (K, 3) linear radiance that is to be added to their colours.
     """
-    ratio = samples.sums(detail / samples.colour.clamp_min(DARKEST)) / samples.lengths[:, None]
+    ratio = samples.sums(detail / samples.colour.clamp_min(MIN_RADIANCE)) / samples.lengths[:, None]
     coloured = ratio - ratio.mean(1, keepdim=True)
-    size = torch.stack([coloured, ratio]).abs().clamp_max(LARGEST).sum(2)
-    colour, whole = size[:, nearest_neighbours(samples.position, samples.position, AROUND)].mean(2)
-    return ((colour / whole.clamp_min(1e-6) - SHADING) / (PIGMENT - SHADING)).clamp(0, 1)
+    size = torch.stack([coloured, ratio]).abs().clamp_max(MAX_RATIO).sum(2)
+    colour, whole = size[:, nearest_neighbours(samples.position, samples.position, NEIGHBOURS)].mean(2)
+    return ((colour / whole.clamp_min(1e-6) - MIN_COLOUR_SHARE) / (FULL_COLOUR_SHARE - MIN_COLOUR_SHARE)).clamp(0, 1)
 
 
 def sh_image(reconstruction: Reconstruction, camera: Camera, subpixels: int) -> np.ndarray:

@@ -17,19 +17,19 @@ from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer, cosine_weighted
 
-SPLIT = 24  # texels that are split at a time; a multiple of 8, as the kernels need
-RAYS = 1 << 18  # traced at a time, unless memory is short
+SPLIT_TEXELS = 24  # texels that are split at a time; a multiple of 8, as the kernels need
+RAY_BATCH = 1 << 18  # traced at a time, unless memory is short
 
 
 @contextmanager
 def rays_at_a_time(count: int) -> Iterator[None]:
     """Trace about `count` rays at a time within the block: fewer need less memory and more time; the result is the same."""
-    global RAYS
-    before, RAYS = RAYS, count
+    global RAY_BATCH
+    before, RAY_BATCH = RAY_BATCH, count
     try:
         yield
     finally:
-        RAYS = before
+        RAY_BATCH = before
 
 
 def trace_radiance_transfer(
@@ -77,7 +77,7 @@ def split_brightest(
     Returns:
         The transfer from T' texels, and the old texel (T',) in which each lies; the same where texels are small enough.
     """
-    chosen = transfer.texels.brightest(light, rows, SPLIT)
+    chosen = transfer.texels.brightest(light, rows, SPLIT_TEXELS)
     if not chosen.any():
         return transfer, np.arange(transfer.texels.count)
     texels, new, old = transfer.texels.split(chosen)
@@ -123,7 +123,7 @@ def _trace_directions(
     """Trace rays from origins (P, 3) in `selected` (P, D) directions (3, D): transmittance (P, D), radiance (P, 3, D); else 0."""
     points, count = selected.shape
     visible, incoming = origin.new_zeros(points, count), origin.new_zeros(points, 3, count)
-    toward, batch = direction.T.contiguous(), max(1, 2 * RAYS // count)
+    toward, batch = direction.T.contiguous(), max(1, 2 * RAY_BATCH // count)
     for begin in range(0, points, batch):
         p, d = torch.nonzero(selected[begin : begin + batch], as_tuple=True)
         free, radiance = tracer.look(origin[begin + p], toward[d])

@@ -15,9 +15,9 @@ from ....scene.camera import Camera
 from ....scene.dataset import View
 from ...common.mask_band import narrowest_mask
 
-FACING = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
-VISIBLE = 0.5  # least transmittance towards the camera
-INSIDE = 0.99  # least mask opacity of the pixels around a point, so that no background is mixed into its colour
+MIN_FACING_COSINE = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
+MIN_TRANSMITTANCE = 0.5  # least transmittance towards the camera
+MIN_MASK_OPACITY = 0.99  # least mask opacity of the pixels around a point, so that no background is mixed into its colour
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +68,7 @@ def choose_views(
         start, direction = position[point[rows]] + tracer.offset * normal[point[rows]], centres[view[rows]] - position[point[rows]]
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
         rays = (torch.from_numpy(array.astype(np.float32)).to(tracer.device) for array in (start, direction))
-        return transmittance(tracer.tree, *rays).cpu().numpy() > VISIBLE
+        return transmittance(tracer.tree, *rays).cpu().numpy() > MIN_TRANSMITTANCE
 
     kept = _first_seen(np.searchsorted(point, np.arange(len(position) + 1)), sees, max(most, least))
     count = np.bincount(point[kept], minlength=len(position))
@@ -104,11 +104,11 @@ def facing_points(position: np.ndarray, normal: np.ndarray, view: View) -> np.nd
     direction = camera.centre - position
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     inside = (depth > 0) & (place >= 0).all(1) & (place < (camera.height - 1, camera.width - 1)).all(1)
-    index = np.flatnonzero(inside & ((direction * normal).sum(1) > FACING))
+    index = np.flatnonzero(inside & ((direction * normal).sum(1) > MIN_FACING_COSINE))
     if view.alpha is None:
         return index
     mask = narrowest_mask(view)
-    return index[np.min([mask[at] for at, _ in bilinear_pixels(place[index])], axis=0) > INSIDE]
+    return index[np.min([mask[at] for at, _ in bilinear_pixels(place[index])], axis=0) > MIN_MASK_OPACITY]
 
 
 def image_places(position: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

@@ -14,7 +14,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.common.preview import MOST_POINTS, albedo_image, points_shape, preview_camera, surface_shape
+from irgspp.core.stages.common.preview import MAX_POINTS, albedo_image, points_shape, preview_camera, surface_shape
 from irgspp.core.stages.first.train import train
 
 SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "materials=low-gloss")
@@ -55,14 +55,14 @@ def test_looking_does_not_change_the_fit(sphere_dataset, camera_ring):
 
 def test_points_are_few_opaque_and_inside_the_bound(sphere_dataset, camera_ring):
     dataset = replace(sphere_dataset(camera_ring(3, 16)), bound=Bound((0.0, 0.0, 0.0), 2.0))
-    position = np.random.default_rng(0).normal(size=(3 * MOST_POINTS, 3)).astype(np.float32)
+    position = np.random.default_rng(0).normal(size=(3 * MAX_POINTS, 3)).astype(np.float32)
     position[:100] *= 50  # beyond the bound
     opacity = np.where(np.arange(len(position)) % 2, 0.9, 0.1)
     gaussians = surfels(
         position, np.tile([[0.0, 0.0, 1.0]], (len(position), 1)), np.full_like(position, 0.25), np.ones(len(position)), opacity
     )
     shape = points_shape(gaussians, dataset)
-    assert 0.5 * MOST_POINTS < len(shape["position"]) <= MOST_POINTS
+    assert 0.5 * MAX_POINTS < len(shape["position"]) <= MAX_POINTS
     assert np.linalg.norm(shape["position"], axis=1).max() < 2
     np.testing.assert_allclose(shape["colour"], encode_srgb(0.25), atol=1e-5)
     np.testing.assert_array_equal(shape["position"], shape["position"][np.isin(shape["position"][:, 0], position[opacity > 0.5][:, 0])])

@@ -9,9 +9,9 @@ from irgspp.core.machine.job_time import fixed_seconds, reference_seconds, refin
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.common.time_budget import (
-    FIRST_STAGE_MOST_STEPS,
-    SECOND_STAGE_LARGEST_SCALE,
-    SMALLEST_SCALE,
+    MAX_FIRST_STAGE_STEPS,
+    MAX_SECOND_STAGE_SCALE,
+    MIN_SCALE,
     STEP_COST_GROWTH,
     STEP_COST_GROWTH_SINGLE,
     first_stage_schedule_scale,
@@ -57,13 +57,13 @@ def test_what_the_second_stage_is_given_costs_what_there_is(data, schedule_scale
 
 def test_schedule_scale_has_limits(data):
     paper, draft = preset("paper"), preset("draft")
-    assert first_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == SMALLEST_SCALE
-    assert second_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == SMALLEST_SCALE
+    assert first_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == MIN_SCALE
+    assert second_stage_schedule_scale(SETTINGS, data, -5.0, 0.02) == MIN_SCALE
     for settings in (SETTINGS, draft):
         scale = first_stage_schedule_scale(settings, data, 1e6, 0.02)
-        assert scaled_iterations(scale, settings.first.iterations) == FIRST_STAGE_MOST_STEPS
+        assert scaled_iterations(scale, settings.first.iterations) == MAX_FIRST_STAGE_STEPS
     assert first_stage_schedule_scale(paper, data, 1e7, 0.02) == 1.0  # never shorter than the preset where there is time
-    assert second_stage_schedule_scale(SETTINGS, data, 1e6, 0.02) == SECOND_STAGE_LARGEST_SCALE
+    assert second_stage_schedule_scale(SETTINGS, data, 1e6, 0.02) == MAX_SECOND_STAGE_SCALE
     none = replace(SETTINGS, second=replace(SETTINGS.second, iterations=0, radiance_iterations=0))
     assert second_stage_schedule_scale(none, data, 10.0, 0.02) == 1.0
 

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.first.depth_anchors import COMPARED, FAR, DepthAnchors
+from irgspp.core.stages.first.depth_anchors import COMPARED, HALF_LOSS_PARALLAX, DepthAnchors
 from irgspp.core.stereo.depth_map import DepthMap
 from textured_wall import SOURCES, bent, textured_wall
 
@@ -86,7 +86,7 @@ def test_loss_is_the_parallax_to_the_anchors(wall, anchors):
     camera, count = dataset.train[1].camera, int(anchors.begin[2] - anchors.begin[1])
     assert anchors.loss(1, rendered(depths[1]), camera, camera) == pytest.approx(0, abs=1e-6)
     parallax = 0.02 * camera.fx
-    expected = count * parallax / (1 + parallax / FAR) / depths[1].size
+    expected = count * parallax / (1 + parallax / HALF_LOSS_PARALLAX) / depths[1].size
     assert anchors.loss(1, rendered(1.02 * depths[1]), camera, camera) == pytest.approx(expected, rel=1e-3)
 
 

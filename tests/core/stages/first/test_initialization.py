@@ -8,7 +8,13 @@ import pytest
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.scene.dataset import PointCloud
-from irgspp.core.stages.first.initialization import ASIDE, BEHIND, SURROUNDINGS, initial_gaussians, observed_colour
+from irgspp.core.stages.first.initialization import (
+    CAMERA_SIDE_COSINE,
+    MAX_SURROUNDINGS_RADII,
+    MIN_CAMERA_DISTANCES,
+    initial_gaussians,
+    observed_colour,
+)
 from irgspp.core.stages.first.visual_hull import visual_hull
 
 
@@ -85,12 +91,12 @@ def test_without_masks_points_come_first_and_all_face_a_camera(camera_ring, sphe
     clearance = 0.5 * min(np.linalg.norm(c.centre) for c in cameras)
     assert min(np.linalg.norm(points[50:] - c.centre, axis=1).min() for c in cameras) > clearance  # none close to a camera
     side = (points[50:] / distance[:, None]) @ np.stack([c.centre / np.linalg.norm(c.centre) for c in cameras]).T
-    beside = side.max(1) > ASIDE
+    beside = side.max(1) > CAMERA_SIDE_COSINE
     away = np.median([np.linalg.norm(c.centre) for c in cameras])
     outer = distance > dataset.bound.radius
     assert (outer & beside).sum() > 20 and (outer & ~beside).sum() > 5
-    assert distance[outer & beside].min() >= BEHIND * away * (1 - 1e-6)  # none between cameras that look at the object
-    assert distance[~beside].max() <= SURROUNDINGS * dataset.bound.radius
+    assert distance[outer & beside].min() >= MIN_CAMERA_DISTANCES * away * (1 - 1e-6)  # none between cameras that look at the object
+    assert distance[~beside].max() <= MAX_SURROUNDINGS_RADII * dataset.bound.radius
     assert 0.4 < (distance <= dataset.bound.radius).mean() < 0.9  # the object and its surroundings
     centres = np.stack([c.centre for c in cameras])
     nearest = centres[np.linalg.norm(points[:, None] - centres, axis=2).argmin(1)]

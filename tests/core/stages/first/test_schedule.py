@@ -5,7 +5,7 @@ import math
 from dataclasses import replace
 
 from irgspp.core.settings.schema import FirstStageSettings
-from irgspp.core.stages.first.schedule import EDGE, anchors_due, loss_weights, rays_per_side, sh_degree
+from irgspp.core.stages.first.schedule import OPEN_EDGE_DISAGREEMENT, anchors_due, loss_weights, rays_per_side, sh_degree
 
 TEN = replace(FirstStageSettings(), iterations=10, sh_growth=0.6, single_rays=0.4, subpixels=2, open_edges=0.5)
 
@@ -21,7 +21,7 @@ def test_first_part_renders_single_rays():
 
 def test_edges_are_open_in_the_first_part():
     weights = [loss_weights(TEN, done) for done in range(10)]
-    assert [one.edge for one in weights] == [EDGE] * 5 + [math.inf] * 5
+    assert [one.edge for one in weights] == [OPEN_EDGE_DISAGREEMENT] * 5 + [math.inf] * 5
     assert {(one.mask, one.normal) for one in weights} == {(TEN.mask_weight, TEN.normal_weight)}
     assert loss_weights(replace(TEN, open_edges=0.0), 0).edge == math.inf
 

@@ -194,7 +194,7 @@ def test_an_object_without_a_better_region_has_no_stereo_start(dataset, monkeypa
 def test_few_better_regions_are_the_only_start(dataset, monkeypatch):
     names = lambda: [one.name for one in from_stereo(dataset, COUNT, 0, Silent())]  # noqa: E731
     assert names() == ["stereo by regions", "stereo everywhere"]
-    monkeypatch.setattr(stereo_initialization, "WORTH", 1.0)
+    monkeypatch.setattr(stereo_initialization, "MIN_REGION_SHARE", 1.0)
     assert names() == ["stereo by regions"]
 
 

@@ -75,5 +75,5 @@ def test_batches_traced_anew_give_the_same_result(ball, monkeypatch):
     _, surface, solver = ball
     whole = turned(surface, solver).normals
     monkeypatch.setattr(module, "BATCH", 50)
-    monkeypatch.setattr(module, "KEPT", 0)
+    monkeypatch.setattr(module, "MAX_KEPT_VERTICES", 0)
     np.testing.assert_allclose(turned(surface, solver).normals, whole, atol=1e-6)

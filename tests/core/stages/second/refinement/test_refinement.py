@@ -16,7 +16,7 @@ from irgspp.core.stages.second.metal import METALLIC_THRESHOLD
 from irgspp.core.stages.second.radiance_refit import refit_radiance
 from irgspp.core.stages.second.refinement import refinement as module
 from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels
-from irgspp.core.stages.second.refinement.refinement import METAL_PIXELS, Refinement, split_samples
+from irgspp.core.stages.second.refinement.refinement import METAL_PIXEL_SHARE, Refinement, split_samples
 
 SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
 
@@ -98,7 +98,7 @@ def test_further_pixels_show_the_metal_parts_of_an_object(start, photographs):
         metal = trial._materials(torch.arange(trial.pool.count))[3] > METALLIC_THRESHOLD
         trial.step()
         shares.append((len(drawn[0]), float(metal[drawn[0]].float().mean()), float(metal.float().mean())))
-    assert [count for count, _, _ in shares] == [64, 64 + round(64 * METAL_PIXELS), 64]
+    assert [count for count, _, _ in shares] == [64, 64 + round(64 * METAL_PIXEL_SHARE), 64]
     assert shares[1][1] > shares[1][2] + 0.15
 
 

@@ -16,7 +16,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.second.refinement import refinement_selection as module
-from irgspp.core.stages.second.refinement.refinement_selection import METAL_STEPS, TRIAL, refine
+from irgspp.core.stages.second.refinement.refinement_selection import METAL_STEPS_FACTOR, TRIAL_SHARE, refine
 
 SETTINGS = with_overrides(Settings(), ["second.iterations=10", "second.pixels=64", "second.samples=16", "second.pool=2000"])
 
@@ -59,7 +59,7 @@ def test_better_start_is_refined_to_the_end(start, dataset):
     good, bad = start((0.6, 0.45, 0.3)), start((0.05, 0.9, 0.9))
     listener = Listener()
     refined, scale = refine([bad, good], dataset, SecondaryTracer(good), SETTINGS, listener, None)
-    trial = int(TRIAL * SETTINGS.second.iterations)
+    trial = int(TRIAL_SHARE * SETTINGS.second.iterations)
     assert listener.steps == [*range(1, trial + 1), *range(1, trial + 1), *range(trial + 1, 11)] and scale == 1.0
     difference = (refined.gaussians.materials()[:3] - good.gaussians.materials()[:3]).abs()
     assert difference.mean() < 0.15
@@ -124,7 +124,7 @@ def test_metals_have_a_longer_schedule(start, dataset):
     metal = torch.logit(torch.tensor([0.6, 0.5, 0.4, 0.3, 0.99]))[:, None].expand(5, 3000).contiguous()
     listener = Listener()
     refine([first.relabelled(metal, first.environment)], dataset, SecondaryTracer(first), SETTINGS, listener, None)
-    assert listener.steps[-1] == METAL_STEPS * SETTINGS.second.iterations
+    assert listener.steps[-1] == METAL_STEPS_FACTOR * SETTINGS.second.iterations
 
 
 def test_no_iterations_keep_the_first_start(start, dataset):

@@ -19,7 +19,7 @@ from irgspp.core.shading.brdf import base_reflectance
 from irgspp.core.shading.specular_albedo import diffuse_fraction, specular_albedo
 from irgspp.core.stages.second.solver import gaussian_materials as module
 from irgspp.core.stages.second.solver.gaussian_materials import (
-    EDGE,
+    LOGIT_MARGIN,
     assign_materials,
     fitted_albedo,
     nearest_materials,
@@ -77,7 +77,7 @@ def reconstruction(splat_sphere, glossy):
     rough = torch.full_like(metallic, ROUGHNESS)
     radiance = SKY * albedo * diffuse_fraction(torch.ones_like(rough), rough)[:, None] if glossy else shown(position, position)
     sphere.sh[0] = (torch.as_tensor(radiance).float().T - 0.5) / SH_C0
-    sphere.material = torch.logit(torch.cat([albedo.T, rough[None], metallic[None]]).float().clamp(EDGE, 1 - EDGE))
+    sphere.material = torch.logit(torch.cat([albedo.T, rough[None], metallic[None]]).float().clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN))
     hidden = sphere.select(torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE])
     hidden.position *= 0.8
     return Reconstruction(sphere.joined(hidden), torch.full((8, 16, 3), SKY), Bound((0, 0, 0), 1.0), np.eye(4), glossy)
@@ -107,7 +107,7 @@ def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_
     scene = reconstruction(splat_sphere, glossy)
     result = assigned(scene, surface, views, found)
     assert result.shape == (5, COUNT + INSIDE) and result.dtype == torch.float32 and result.is_contiguous()
-    assert result.min() >= EDGE and result.max() <= 1 - EDGE and torch.logit(result).isfinite().all()
+    assert result.min() >= LOGIT_MARGIN and result.max() <= 1 - LOGIT_MARGIN and torch.logit(result).isfinite().all()
     position = scene.gaussians.position.T.double().numpy()
     albedo, metallic = materials(position)
     inner = (np.abs(position[:COUNT, 0]) > 0.15) & (np.abs(position[:COUNT, 2] - 0.5) > 0.1)  # away from the borders of colours and metal
@@ -115,7 +115,7 @@ def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_
     limit = 0.01 if glossy else 0.02  # SH that are equal in all directions only approximate the sphere
     assert error.median() < limit and error.quantile(0.95) < 3 * limit
     np.testing.assert_allclose(result[3], ROUGHNESS, rtol=1e-5)
-    np.testing.assert_allclose(result[4, :COUNT][inner], metallic[:COUNT][inner].clamp(EDGE, 1 - EDGE), rtol=1e-5)
+    np.testing.assert_allclose(result[4, :COUNT][inner], metallic[:COUNT][inner].clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN), rtol=1e-5)
     above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the visible surfels right above the hidden ones
     same = (result[:, above] == result[:, COUNT:]).all(0)
     assert same.float().mean() > 0.9  # the others are nearer to another one

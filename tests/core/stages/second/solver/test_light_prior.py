@@ -6,11 +6,11 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.light_prior import INDEPENDENT, SLOPE, SMOOTHNESS, TINT, LightPrior
+from irgspp.core.stages.second.solver.light_prior import HALF_WEIGHT_SLOPE, INDEPENDENT_ERRORS, MAX_LIKELY_TINT, SMOOTHNESS, LightPrior
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 
 HEIGHT, WIDTH = 4, 8
-EDGE = SLOPE * math.pi / HEIGHT
+EDGE = HALF_WEIGHT_SLOPE * math.pi / HEIGHT
 PAIRS = HEIGHT * WIDTH + (HEIGHT - 1) * WIDTH  # across, around the seam, and down
 
 
@@ -68,8 +68,8 @@ def test_likely_tint_costs_least(prior):
     light, error, curvature = torch.tensor([[0.75, 0.5, 1 / 3]]).expand(HEIGHT * WIDTH, 3), 0.02, 2e-4
     tint = float(prior.tint(light)[0])
     likely = float(prior.likely_tint(light, torch.full((3,), curvature), error)[0])
-    variance = (error / 0.6745) ** 2 / INDEPENDENT
+    variance = (error / 0.6745) ** 2 / INDEPENDENT_ERRORS
     choices = np.linspace(-1, 1, 20_001)
-    cost = curvature * (choices - tint) ** 2 / (2 * variance) + (choices / TINT) ** 4 / 4
+    cost = curvature * (choices - tint) ** 2 / (2 * variance) + (choices / MAX_LIKELY_TINT) ** 4 / 4
     assert likely == pytest.approx(choices[cost.argmin()], abs=2e-4)
     assert 0.2 * tint < likely < 0.9 * tint

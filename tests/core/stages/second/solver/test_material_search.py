@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS, MaterialSearch
+from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS_COUNT, MaterialSearch
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from sphere_on_floor import make
 
@@ -29,7 +29,7 @@ def costs(search, light):
 def test_true_materials_cost_least(searched):
     search, cost, (_, roughness, metallic) = searched
     metal = metallic > 0
-    assert torch.equal(cost[:, 1, :METAL_ROUGHNESS].amin(1) < cost[:, 0].amin(1), metal)
+    assert torch.equal(cost[:, 1, :METAL_ROUGHNESS_COUNT].amin(1) < cost[:, 0].amin(1), metal)
     assert (search.roughness(cost, metal) - roughness).abs().max() < 0.06
 
 

@@ -6,7 +6,7 @@ from itertools import product
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.metal_cut import COUPLING, NEAR, PRIOR, cut_metal
+from irgspp.core.stages.second.solver.metal_cut import MAX_RINGS, METAL_PRIOR, NEIGHBOUR_COUPLING, cut_metal
 from irgspp.core.stages.second.solver.metal_regions import neighbourhood
 
 
@@ -19,7 +19,7 @@ def row(count, colour=None):
 def energy(metal, evidence, neighbours, similarity):
     """Evidence of the metal points less the similarity across borders, of a labelling (P,) bool."""
     across = metal[:, None] != metal[neighbours]
-    return float(((evidence + PRIOR) * metal).sum() - 0.5 * COUPLING * (similarity * across).sum())
+    return float(((evidence + METAL_PRIOR) * metal).sum() - 0.5 * NEIGHBOUR_COUPLING * (similarity * across).sum())
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -55,12 +55,12 @@ def test_borders_follow_colour():
 
 def test_metal_returns_near_metal_alone():
     neighbours, similarity = row(200)
-    reach = NEAR * int((neighbours - torch.arange(200)[:, None]).abs()[50:150].max())
+    reach = MAX_RINGS * int((neighbours - torch.arange(200)[:, None]).abs()[50:150].max())
     found = cut_metal(torch.ones(200), torch.arange(200) < 100, neighbours, similarity)
     np.testing.assert_array_equal(found, torch.arange(200) < 100 + reach)
 
 
 def test_no_metal_stays_none_and_all_stays_all():
     everything = torch.ones(60, dtype=torch.bool)
-    assert cut_metal(torch.full((60,), -0.5 * PRIOR), everything, *row(60)).all()
-    assert not cut_metal(torch.full((60,), -2 * PRIOR), everything, *row(60)).any()
+    assert cut_metal(torch.full((60,), -0.5 * METAL_PRIOR), everything, *row(60)).all()
+    assert not cut_metal(torch.full((60,), -2 * METAL_PRIOR), everything, *row(60)).any()

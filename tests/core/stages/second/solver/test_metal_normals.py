@@ -9,7 +9,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
-from irgspp.core.stages.second.solver.metal_normals import RINGS, ROUGHNESS, STEP, reflected_normals
+from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from irgspp.core.stages.second.solver.solver_run import NORMAL_SEARCHES, run_solver
 from sphere_on_floor import make, start
@@ -37,7 +37,7 @@ def test_wrong_normals_turn_towards_the_true_ones(brass):
     before, after = angles(wrong, seen.normal), angles(found, seen.normal)
     assert before.mean() > 4 and after.mean() < 0.6 * before.mean()
     np.testing.assert_allclose(found.norm(dim=1), 1, atol=1e-5)
-    assert float(angles(found, wrong).max()) < np.degrees(RINGS * STEP) + 0.1
+    assert float(angles(found, wrong).max()) < np.degrees(RINGS * RING_ANGLE) + 0.1
 
 
 def test_wrong_normals_are_no_reason_for_roughness(brass):
@@ -48,7 +48,7 @@ def test_wrong_normals_are_no_reason_for_roughness(brass):
     derivative = approximate_srgb_derivative(seen.colour)
     fixed = search.roughness(search.costs(light, derivative**2, derivative), torch.ones(len(wrong), dtype=torch.bool))
     assert (found - 0.25).abs().mean() < 0.5 * (fixed - 0.25).abs().mean()
-    assert ROUGHNESS[0] <= float(found.min()) and float(found.max()) <= ROUGHNESS[-1]
+    assert SEARCHED_ROUGHNESS[0] <= float(found.min()) and float(found.max()) <= SEARCHED_ROUGHNESS[-1]
 
 
 def test_true_normals_stay(brass):

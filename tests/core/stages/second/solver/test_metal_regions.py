@@ -5,12 +5,12 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second.solver.metal_regions import (
-    DENSITY,
-    EVIDENCE,
+    MAX_METAL_ROUGHNESS,
+    MIN_GAIN_PER_SHARE,
+    MIN_POSSIBLE_GAIN,
+    MIN_REGION_GAIN,
+    MIN_SURE_GAIN,
     NEIGHBOURS,
-    POSSIBLE,
-    ROUGHEST,
-    SURE,
     confirm_metal,
     connected_regions,
     grow_metal,
@@ -27,13 +27,13 @@ def row(count, colour=None):
 
 
 def test_a_little_better_fit_is_not_enough():
-    assert not grow_metal(torch.full((40,), 0.9 * SURE), *row(40)).any()
+    assert not grow_metal(torch.full((40,), 0.9 * MIN_SURE_GAIN), *row(40)).any()
 
 
 def test_metal_fills_its_region_and_stops_at_what_contradicts_it():
-    gain = torch.full((60,), 0.5 * POSSIBLE)
-    gain[10:13] = 2 * SURE
-    gain[40:] = 2 * POSSIBLE
+    gain = torch.full((60,), 0.5 * MIN_POSSIBLE_GAIN)
+    gain[10:13] = 2 * MIN_SURE_GAIN
+    gain[40:] = 2 * MIN_POSSIBLE_GAIN
     metal = grow_metal(gain, *row(60))
     assert metal[:34].all() and not metal[40:].any()
 
@@ -42,7 +42,7 @@ def test_metal_stops_at_another_colour():
     colour = torch.tensor([[0.8, 0.5, 0.1]]).repeat(60, 1)
     colour[30:] = torch.tensor([0.1, 0.2, 0.7])
     gain = torch.zeros(60)
-    gain[10:13] = 2 * SURE
+    gain[10:13] = 2 * MIN_SURE_GAIN
     metal = grow_metal(gain, *row(60, colour))
     assert metal[:30].all() and not metal[30:].any()
 
@@ -62,7 +62,7 @@ def test_a_region_that_would_be_rough_metal_is_not_tested():
     roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
     first, second = masks((0, 10), (30, 40))
     assert [region.equal(first) for region in sharp_regions([first, second], roughness)] == [True]
-    assert len(sharp_regions([first, second], torch.full((60,), ROUGHEST))) == 2
+    assert len(sharp_regions([first, second], torch.full((60,), MAX_METAL_ROUGHNESS))) == 2
 
 
 NONE = torch.zeros(60, dtype=torch.bool)
@@ -101,7 +101,10 @@ def test_region_must_gain_itself_and_in_all():
     assert confirmed(0.1, -1) == 0  # only the others gain
 
 
-@pytest.mark.parametrize(("points", "needed"), [(1, EVIDENCE), (20, DENSITY * 20 / 60), (30, DENSITY * 30 / 60), (40, EVIDENCE)])
+@pytest.mark.parametrize(
+    ("points", "needed"),
+    [(1, MIN_REGION_GAIN), (20, MIN_GAIN_PER_SHARE * 20 / 60), (30, MIN_GAIN_PER_SHARE * 30 / 60), (40, MIN_REGION_GAIN)],
+)
 def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
     (region,) = masks((0, points))
 

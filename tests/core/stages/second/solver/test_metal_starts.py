@@ -11,7 +11,7 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import ALBEDO, METALLIC, ROUGHNESS
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.second.solver.light_texels import LightTexels
-from irgspp.core.stages.second.solver.metal_starts import EXPLAINED, albedo_ratio, levelled_light, metal_starts
+from irgspp.core.stages.second.solver.metal_starts import MAX_EXPLAINED_ERROR, albedo_ratio, levelled_light, metal_starts
 
 SCALE = torch.tensor([0.5, 0.8, 1.25])
 
@@ -85,7 +85,7 @@ def test_an_albedo_stays_below_one(parts):
     assert (albedo < 1).all() and (albedo[2] > 0.98).all()  # 0.4 * 1.25 * 2
 
 
-@pytest.mark.parametrize(("error", "count"), [(0.9 * EXPLAINED, 1), (1.1 * EXPLAINED, 2)])
+@pytest.mark.parametrize(("error", "count"), [(0.9 * MAX_EXPLAINED_ERROR, 1), (1.1 * MAX_EXPLAINED_ERROR, 2)])
 def test_the_solver_starts_alone_where_it_explains_the_photographs(parts, error, count):
     first, solved, solver = parts
     solver.error = lambda: error

@@ -11,10 +11,10 @@ from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.kernels.cpu.bvh import SurfelTree
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import View
-from irgspp.core.stages.common.training_view import SATURATED
+from irgspp.core.stages.common.training_view import MIN_SATURATED
 from irgspp.core.stages.first.initialization import surfels
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples, sample_views
-from irgspp.core.stages.second.solver.view_choice import FACING
+from irgspp.core.stages.second.solver.view_choice import MIN_FACING_COSINE
 
 OFFSET, COUNT = 0.03, 400
 OCCLUDER, SIZE = np.array([0.0, -1.4, 1.2]), 0.6  # a ball in front of the sphere
@@ -85,7 +85,7 @@ def pairs(seen, chosen, cameras):
     return set(zip(chosen.numpy()[seen.point].tolist(), apart.argmin(1).tolist(), strict=True))
 
 
-def facing(points, camera, lowest=FACING):
+def facing(points, camera, lowest=MIN_FACING_COSINE):
     toward = camera.centre - points[0]
     return (toward * points[1]).sum(1) > lowest * np.linalg.norm(toward, axis=1)
 
@@ -165,7 +165,7 @@ def test_clipped_channels_are_marked(points, cameras, sphere):
     position = seen.position[seen.point]
     steep = ((position * seen.view).sum(1) > 0.5).numpy()  # pixels cover little of the surface there
     x, z = position[steep, 0].numpy(), position[steep, 2].numpy() + 0.2
-    limit = float(decode_srgb(np.array(SATURATED))) * 0.75
+    limit = float(decode_srgb(np.array(MIN_SATURATED))) * 0.75
     for value, channel in ((x, 0), (z, 2)):  # any of the four pixels around a point counts, so the border is one pixel wide
         flag = seen.saturated[steep, channel].numpy()
         assert flag[value > limit + 0.05].all() and not flag[value < limit - 0.05].any()

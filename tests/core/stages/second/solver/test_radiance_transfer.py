@@ -74,7 +74,7 @@ def test_own_light_can_be_left_out_and_shadows_stay(tracer):
 def test_points_traced_a_few_at_a_time_are_the_same(tracer, monkeypatch):
     position, normal = points(*np.random.default_rng(0).normal(size=(9, 6)).tolist())
     whole = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), side=2, seed=3, indirect=True)
-    monkeypatch.setattr(transfer_tracing, "RAYS", 128)
+    monkeypatch.setattr(transfer_tracing, "RAY_BATCH", 128)
     parts = trace_radiance_transfer(position, normal, tracer, LightTexels.uniform(4), side=2, seed=3, indirect=True)
     assert torch.equal(whole.irradiance, parts.irradiance) and torch.equal(whole.indirect, parts.indirect)
     assert all(np.array_equal(a, b) for a, b in zip(whole.traced, parts.traced, strict=True))

@@ -3,7 +3,7 @@
 
 import torch
 from irgspp.core.stages.second.solver import roughness_prior
-from irgspp.core.stages.second.solver.roughness_prior import FLOOR, INDEPENDENT, PASSES, with_roughness_prior
+from irgspp.core.stages.second.solver.roughness_prior import EM_PASSES, INDEPENDENT_ERRORS, MIN_PRIOR, with_roughness_prior
 
 KNOTS = torch.tensor([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.8, 1.0])
 RED, BLUE = (0.6, 0.1, 0.1), (0.1, 0.1, 0.6)
@@ -38,8 +38,8 @@ def test_two_finishes_of_one_colour_both_stay():
 def test_many_points_take_the_prior_of_some(monkeypatch):
     cost = torch.cat([costs([0.3] * 20), costs([0.8] * 20), costs([1.0, 1.0], slope=1e-3)])
     colours = [RED] * 20 + [BLUE] * 20 + [RED, BLUE]
-    monkeypatch.setattr(roughness_prior, "SOURCES", 10)
-    monkeypatch.setattr(roughness_prior, "BLOCK", 7)
+    monkeypatch.setattr(roughness_prior, "MAX_SOURCES", 10)
+    monkeypatch.setattr(roughness_prior, "BATCH", 7)
     torch.testing.assert_close(likely(cost, colours)[-2:], torch.tensor([0.3, 0.8]))
 
 
@@ -57,11 +57,11 @@ def test_twin():
 
 def plain_prior(cost, albedo):
     """The same in float64, a point at a time."""
-    scale = torch.tensor([[max(float(one.min()), float(cost.amin(1).median())) / INDEPENDENT] for one in cost], dtype=cost.dtype)
+    scale = torch.tensor([[max(float(one.min()), float(cost.amin(1).median())) / INDEPENDENT_ERRORS] for one in cost], dtype=cost.dtype)
     log_albedo, prior = albedo.clamp_min(0.02).log(), torch.ones_like(cost)
-    for done in range(PASSES + 1):
-        likelihood = (-cost / scale).exp() * (prior + FLOOR if done else prior)
+    for done in range(EM_PASSES + 1):
+        likelihood = (-cost / scale).exp() * (prior + MIN_PRIOR if done else prior)
         posterior = likelihood / likelihood.sum(1, keepdim=True)
         alike = [1 / (1 + (log_albedo - one).square().sum(1) / 0.15**2) ** 2 for one in log_albedo]
         prior = torch.stack([(weight[:, None] * posterior).sum(0) / weight.sum() for weight in alike])
-    return cost - scale * (prior + FLOOR).log()
+    return cost - scale * (prior + MIN_PRIOR).log()

@@ -7,7 +7,7 @@ import numpy as np
 import torch
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.solver.sample_equation import OUTLIER, approximate_srgb_derivative, robust_error, view_terms
+from irgspp.core.stages.second.solver.sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error, view_terms
 
 
 def samples(colour, saturated=None):
@@ -35,7 +35,7 @@ def test_derivative_is_about_that_of_the_encoding():
 
 def test_error_is_summed_over_samples_and_channels():
     seen = samples([0.5, 0.5, 0.2])
-    radiance = seen.colour + torch.tensor([OUTLIER, 0.0, 2 * OUTLIER])[:, None]
+    radiance = seen.colour + torch.tensor([CAUCHY_SCALE, 0.0, 2 * CAUCHY_SCALE])[:, None]
     found = robust_error(seen, radiance, torch.ones(3, 3))
     np.testing.assert_allclose(found, [3 * math.log(2), 3 * math.log(5)], rtol=1e-4)
 
@@ -43,6 +43,6 @@ def test_error_is_summed_over_samples_and_channels():
 def test_clipped_sample_is_a_lower_bound():
     seen = samples([1.0, 1.0, 1.0], [True, False, True])
     above, below = (robust_error(seen, seen.colour + sign * 0.1, torch.ones(3, 3)) for sign in (1, -1))
-    one = 3 * math.log1p((0.1 / OUTLIER) ** 2)
+    one = 3 * math.log1p((0.1 / CAUCHY_SCALE) ** 2)
     np.testing.assert_allclose(above, [one, 0], rtol=1e-4)
     np.testing.assert_allclose(below, [2 * one, one], rtol=1e-4)

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.albedo_prior import DARK, MEDIUM
+from irgspp.core.stages.second.solver.albedo_prior import DARK_ALBEDO, MEDIUM_ALBEDO
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
@@ -28,22 +28,22 @@ def test_a_dark_glossy_object_is_found_under_its_bright_light(scene):
     seen = replace(seen, colour=rendered(seen, transfer, 8 * light, dark, gloss, 0 * metallic))
     plain, chosen = start(seen, transfer), start(seen, transfer)
     run_solver(plain)
-    run_solver(chosen, unsplit)
-    assert plain.start_albedo == MEDIUM and chosen.start_albedo == DARK
+    chosen = run_solver(chosen, unsplit)
+    assert plain.start_albedo == MEDIUM_ALBEDO and chosen.start_albedo == DARK_ALBEDO
     assert chosen.total_error() < 0.8 * plain.total_error()
     error = [abs(float((solver.light.mean() / (8 * light).mean()).log())) for solver in (plain, chosen)]
     assert error[1] < min(0.5 * error[0], 0.3)
     without = start(seen, transfer)
-    run_solver(without, unsplit, try_dark=False)
-    assert without.start_albedo == MEDIUM
+    without = run_solver(without, unsplit, try_dark=False)
+    assert without.start_albedo == MEDIUM_ALBEDO
 
 
 def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
     transfer, seen, _ = scene
     both, plain = start(seen, transfer), start(seen, transfer)
-    run_solver(both, unsplit)
+    both = run_solver(both, unsplit)
     run_solver(plain)
-    assert both.start_albedo == MEDIUM and both.total_error() == pytest.approx(plain.total_error(), rel=1e-3)
+    assert both.start_albedo == MEDIUM_ALBEDO and both.total_error() == pytest.approx(plain.total_error(), rel=1e-3)
 
 
 @pytest.mark.parametrize(("error", "taken"), [(0.98, True), (0.995, False), (1.0, False)])
@@ -70,7 +70,7 @@ def test_steps_are_told_once_each_and_may_end_the_run(scene, last):
 def test_the_run_may_end_while_starts_are_compared(scene):
     transfer, seen, _ = scene
     ended, first = start(seen, transfer), start(seen, transfer)
-    run_solver(ended, unsplit, lambda done: True)
+    ended = run_solver(ended, unsplit, lambda done: True)
     first.advance(0)
     first.reduce_tint()
     assert torch.equal(ended.light, first.light) and torch.equal(ended.albedo, first.albedo)

@@ -9,7 +9,7 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.second.solver.light_texels import LightTexels
 from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
-from irgspp.core.stages.second.solver.transfer_tracing import SPLIT, split_brightest, trace_radiance_transfer
+from irgspp.core.stages.second.solver.transfer_tracing import SPLIT_TEXELS, split_brightest, trace_radiance_transfer
 
 HEIGHT = 8
 
@@ -36,7 +36,7 @@ def test_split_texels_bring_the_same_light_and_others_keep_their_rays(tracer, sa
     before = trace_radiance_transfer(samples.position, samples.normal, tracer, LightTexels.uniform(HEIGHT), side=4, seed=0, indirect=True)
     after, old = split_brightest(before, light, samples, tracer, 0, 4 * HEIGHT)
     kept = np.bincount(old, minlength=before.texels.count) == 1
-    assert (~kept).sum() == SPLIT and after.texels.count == before.texels.count + 3 * SPLIT
+    assert (~kept).sum() == SPLIT_TEXELS and after.texels.count == before.texels.count + 3 * SPLIT_TEXELS
     first, second = (torch.as_tensor(one.traced.visibility).unflatten(1, (16, -1)) for one in (before, after))
     assert torch.equal(first[..., kept], second[..., : kept.sum()])
     assert torch.equal(before.irradiance[:, kept], after.irradiance[:, : kept.sum()])
