@@ -137,9 +137,8 @@ def object_box(alpha: torch.Tensor) -> tuple[slice, slice]:
     for axis in (1, 0):
         filled = torch.nonzero(alpha.amax(axis) > 0)[:, 0]
         length = alpha.shape[1 - axis]
-        box.append(
-            slice(max(0, int(filled[0]) - CROP_MARGIN), min(length, int(filled[-1]) + 1 + CROP_MARGIN)) if len(filled) else slice(0, length)
-        )
+        begin, end = (int(filled[0]) - CROP_MARGIN, int(filled[-1]) + 1 + CROP_MARGIN) if len(filled) else (0, length)
+        box.append(slice(max(0, begin), min(length, end)))
     return box[0], box[1]
 
 

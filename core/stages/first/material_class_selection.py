@@ -19,7 +19,7 @@ from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials
 TURNING_LIGHT_MARGIN = 1.0
 # dB by which metal must be better than low-gloss to be chosen where glossy is about as good: it is by 3.2 to 5.4 on four metal objects. Of
 # thirteen others, glossy is as good only on a resin skull under the camera's flash, where metal is better than low-gloss by .6.
-MIN_METAL_GAIN = 2.0
+MIN_METAL_DECIBELS = 2.0
 
 
 def select_material_class(
@@ -28,7 +28,7 @@ def select_material_class(
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
     Glossy is the rule: SH that explain all shading fit a brief trial as well, but leave worse normals and materials in the end. So
-    low-gloss must be better by `first.trial_margin` dB, and so must metal, unless the object clearly reflects, see MIN_METAL_GAIN: there
+    low-gloss must be better by `first.trial_margin` dB, and so must metal, unless the object clearly reflects (MIN_METAL_DECIBELS): there
     glossy is free to fit as well with a coat as with metal. Where the light turns, glossy must be better, see TURNING_LIGHT_MARGIN.
     Where no view can be held back, or no mask separates the object from its background, the first of the allowed classes is returned.
 
@@ -90,9 +90,9 @@ def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> 
 
 
 def _clearly_reflects(score: dict[str, float], margin: float) -> bool:
-    """Return True where metal is at most `margin` dB worse than glossy, and better than low-gloss by more than MIN_METAL_GAIN."""
+    """Return True where metal is at most `margin` dB worse than glossy, and better than low-gloss by more than MIN_METAL_DECIBELS."""
     metal, matt = score.get(METAL.name, -math.inf), score.get(LOW_GLOSS.name, math.inf)
-    return metal > score[GLOSSY.name] - margin and metal > matt + MIN_METAL_GAIN
+    return metal > score[GLOSSY.name] - margin and metal > matt + MIN_METAL_DECIBELS
 
 
 def _choice_in_words(score: dict[str, float], chosen: str, margins: dict[str, float]) -> str:

@@ -31,10 +31,15 @@ from ..refinement.refinement import HOLD_BACK, MIN_RADIANCE, TEST_PIXELS, TEST_S
 from .losses import LOW_GLOSS_WEIGHTS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
-FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 256, 128 and 128, or 8, 4 and 4
-RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}  # of Adam
-GEOMETRY = {"position": 1.6e-4, "quaternion": 1e-3, "log_scale": 5e-3, "opacity": 5e-2}  # position: per unit of the cameras' extent
-PUBLISHED = Rate(1.0)  # factor of the rates: constant over the schedule
+SAMPLE_FRACTIONS = (0.5, 0.25, 0.25)  # of cosine, visible-normal and light samples: 256, 128 and 128, or 8, 4 and 4
+LEARNING_RATES = {"sh_dc": 7.5e-3, "sh_rest": 7.5e-3 / 20, "albedo": 7.5e-3, "roughness": 5e-3, "metallic": 5e-3, "light": 1e-2}  # of Adam
+GEOMETRY_LEARNING_RATES = {  # of Adam; position: per unit of the cameras' extent
+    "position": 1.6e-4,
+    "quaternion": 1e-3,
+    "log_scale": 5e-3,
+    "opacity": 5e-2,
+}
+PUBLISHED_RATE_FACTOR = Rate(1.0)  # factor of the rates: constant over the schedule
 EXTENT_RATIO = 1.1  # extent of the cameras over the largest distance of one from their mean (3DGS)
 MIN_MASK_OPACITY = 0.99  # of the mask: pixels of a test show the object alone
 
@@ -64,7 +69,7 @@ class JointOptimisation:
         seed: int,
         *,
         weights: Weights = LOW_GLOSS_WEIGHTS,
-        factor: Rate = PUBLISHED,
+        factor: Rate = PUBLISHED_RATE_FACTOR,
         hold_back: bool = False,
     ) -> None:
         """Prepare the photographs and the optimiser.
@@ -88,14 +93,14 @@ class JointOptimisation:
         self.held_back = every if hold_back else number < 0
         self.tested = torch.nonzero(every if every.any() else ~every)[:, 0].tolist()
         self.light = resized_light(start.environment, settings.light_height).clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
-        rates = {name: Rate(rate) for name, rate in RATES.items() if name != "metallic" or settings.brdf != "irgs"}
+        rates = {name: Rate(rate) for name, rate in LEARNING_RATES.items() if name != "metallic" or settings.brdf != "irgs"}
         if settings.geometry_rate > 0:
             extent = camera_extent([view.camera for view in views])
-            rates |= {name: Rate(settings.geometry_rate * rate) for name, rate in GEOMETRY.items()}
+            rates |= {name: Rate(settings.geometry_rate * rate) for name, rate in GEOMETRY_LEARNING_RATES.items()}
             rates["position"] = rates["position"].times(extent)
         rates = {name: Rate(factor.start * rate.start, factor.final) for name, rate in rates.items()}
         self.optimizer = GaussianOptimizer(start.gaussians, rates, {"light": self.light})
-        self.counts = split_samples(settings.samples, FRACTIONS)
+        self.counts = split_samples(settings.samples, SAMPLE_FRACTIONS)
         self.generator = torch.Generator().manual_seed(seed)
         self.done, self._order = 0, torch.zeros(0, dtype=torch.long)
 
@@ -208,7 +213,7 @@ class JointOptimisation:
         g = self.optimizer.gaussians
         if self.settings.geometry_rate > 0:
             return g
-        return replace(g, **{name: getattr(g, name).detach() for name in GEOMETRY})
+        return replace(g, **{name: getattr(g, name).detach() for name in GEOMETRY_LEARNING_RATES})
 
     @staticmethod
     def _choose(among: torch.Tensor, count: int, generator: torch.Generator) -> torch.Tensor:

@@ -20,11 +20,11 @@ from ...common.time_budget import joint_schedule_scale, scale_schedule
 from .irgs import irgs_start, reflect_as_irgs
 from .losses import GLOSSY_WEIGHTS, LOW_GLOSS_WEIGHTS
 from .model import JointModel
-from .optimisation import PUBLISHED, JointOptimisation
+from .optimisation import PUBLISHED_RATE_FACTOR, JointOptimisation
 from .radiance_start import with_all_radiance
 
 CHECKPOINT_SECONDS = 30.0  # between two checkpoints
-REFINING, REFINING_SMOOTHNESS = Rate(0.2, 0.1), 0.1  # factor of the published rates, and weight of materials' smoothness
+REFINING_RATE_FACTOR, REFINING_SMOOTHNESS = Rate(0.2, 0.1), 0.1  # factor of the published rates, and weight of materials' smoothness
 MIN_GAIN = 0.2  # dB of held-back views; at the published rates a gain of 0.07 dB was measured with a loss of 1.1 dB under other lights
 TEST_EVERY = 200  # iterations between tests
 
@@ -77,7 +77,8 @@ def refine_jointly(
 ) -> tuple[Reconstruction, float]:
     """Optimise another solver's result jointly, and keep what comes out only where it shades held-back views better by MIN_GAIN.
 
-    The published rates and smoothness are made for a start far from the solution; here they are lower (REFINING, REFINING_SMOOTHNESS).
+    The published rates and smoothness are made for a start far from the solution. Here they are lower, by REFINING_RATE_FACTOR and
+    REFINING_SMOOTHNESS.
 
     Args:
         solved: result of the closed solver.
@@ -129,10 +130,10 @@ def _optimised(
     model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
     if second.brdf == "irgs":
         start, model = irgs_start(start), replace(model, reflect=reflect_as_irgs)
-    weights, factor = GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, PUBLISHED
+    weights, factor = GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, PUBLISHED_RATE_FACTOR
     if refining:
         smooth = REFINING_SMOOTHNESS
-        weights, factor = replace(weights, albedo=smooth, roughness=smooth, metallic=smooth), REFINING
+        weights, factor = replace(weights, albedo=smooth, roughness=smooth, metallic=smooth), REFINING_RATE_FACTOR
     views, seed = dataset.train, settings.seed
     optimisation = JointOptimisation(start, views, model, second, seed, weights=weights, factor=factor, hold_back=refining)
     before, iterations = optimisation.test(), optimisation.settings.iterations

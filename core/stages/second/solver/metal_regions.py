@@ -30,7 +30,7 @@ from ..metal import MEAN_METALLIC_THRESHOLD
 NEIGHBOURS = 13  # of a point, the point itself included
 # Exponential decay of similarity with differences of chromaticity and of encoded colour, channels summed.
 CHROMATICITY_DECAY, ENCODED_DECAY = 15, 3
-MIN_CHROMATICITY_SUM = 0.02  # radiance added to the sum of the channels, so that the chromaticity of dark points tells little
+CHROMATICITY_OFFSET = 0.02  # radiance added to the sum of the channels, so that the chromaticity of dark points tells little
 MIN_SURE_GAIN = 0.4  # gain per view from which a point is a candidate; the gain is a difference of robust costs, see `MaterialSearch`
 MIN_POSSIBLE_GAIN = -0.3  # gain from which a point is a candidate where its neighbours are
 MIN_NEIGHBOUR_SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
@@ -62,7 +62,7 @@ def neighbourhood(position: torch.Tensor, colour: torch.Tensor) -> tuple[torch.T
         Indices (P, N), and weights by similarity of colour (P, N) that sum to 1.
     """
     index = nearest_neighbours(position, position, NEIGHBOURS)
-    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + MIN_CHROMATICITY_SUM), encode_srgb(colour)
+    chromaticity, encoded = colour / (colour.sum(1, keepdim=True) + CHROMATICITY_OFFSET), encode_srgb(colour)
     difference = CHROMATICITY_DECAY * (chromaticity[:, None] - chromaticity[index]).abs().sum(-1)
     difference = difference + ENCODED_DECAY * (encoded[:, None] - encoded[index]).abs().sum(-1)
     similarity = torch.exp(-difference)

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from irgspp.core.scene.dataset import Dataset
 from irgspp.core.settings.schema import FirstStageSettings
-from irgspp.core.stages.first.depth_anchors import COMPARED, DepthAnchors
+from irgspp.core.stages.first.depth_anchors import COMPARED_VIEWS, DepthAnchors
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS
 from irgspp.core.stages.first.trainer import Trainer
@@ -23,7 +23,7 @@ def anchors_in_front(dataset: Dataset, trainer: Trainer) -> DepthAnchors:
     depth = np.concatenate([0.97 * one.reshape(-1)[pixel] for one, pixel in zip(depths, pixels, strict=True)])
     begin = torch.from_numpy(np.cumsum([0, *(len(pixel) for pixel in pixels)]))
     pixel = torch.from_numpy(np.concatenate(pixels).astype(np.int32))
-    return DepthAnchors(begin, pixel, torch.from_numpy(depth), torch.full((len(dataset.train), COMPARED), -1), chosen=True)
+    return DepthAnchors(begin, pixel, torch.from_numpy(depth), torch.full((len(dataset.train), COMPARED_VIEWS), -1), chosen=True)
 
 
 def test_anchors_pull_the_surfels_and_are_part_of_the_state(sphere_dataset, camera_ring):

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.first.depth_anchors import COMPARED, HALF_LOSS_PARALLAX, DepthAnchors
+from irgspp.core.stages.first.depth_anchors import COMPARED_VIEWS, HALF_LOSS_PARALLAX, DepthAnchors
 from irgspp.core.stereo.depth_map import DepthMap
 from textured_wall import SOURCES, bent, textured_wall
 
@@ -129,7 +129,7 @@ def test_state_gives_the_same_anchors(wall, anchors):
         lambda s: s.update(depth=s["depth"] * torch.nan),
         lambda s: s.update(depth=s["depth"][1:]),
         lambda s: s.update(witnesses=s["witnesses"] + 4),
-        lambda s: s.update(witnesses=s["witnesses"][:, : COMPARED - 1]),
+        lambda s: s.update(witnesses=s["witnesses"][:, : COMPARED_VIEWS - 1]),
         lambda s: s.update(chosen=1),
     ],
 )

@@ -204,7 +204,7 @@ def test_a_metal_object_is_metal_as_a_whole_unless_a_part_contradicts(scene, mon
     count = len(seen.position)
     solver = LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), 0)
     metal = torch.arange(count) > 0.1 * count
-    errors = lambda points: torch.ones(count) * (1 + loss * module.EVIDENCE * float(points.all()))  # noqa: E731
+    errors = lambda points: torch.ones(count) * (1 + loss * module.MIN_REGION_GAIN * float(points.all()))  # noqa: E731
     monkeypatch.setattr(solver, "_adapted", lambda points: (solver, errors(points)))
     completed = solver._completed_metal(metal)
     assert torch.equal(completed, torch.ones_like(metal) if whole else metal)
