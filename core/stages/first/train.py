@@ -16,6 +16,7 @@ from ..common.time_budget import first_stage_largest_scale, first_stage_schedule
 from ..common.training_view import object_box
 from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
+from .material_class import MaterialClass
 from .material_class_selection import material_class_named, select_material_class
 from .start_selection import Start, select_start
 from .trainer import Trainer
@@ -81,18 +82,7 @@ def train(
     else:
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
-    hold_back = len(dataset.train) if len(dataset.train) >= MIN_HOLD_BACK_VIEWS else 0  # one view
-    trainer = Trainer(
-        dataset,
-        settings.first,
-        start.gaussians,
-        material_class,
-        settings.seed,
-        hold_back=hold_back,
-        crop=crop,
-        resident=resident,
-        anchors=start.anchors,
-    )
+    trainer = _trainer(dataset, settings, start, material_class, crop=crop, resident=resident)
     if state is not None:
         trainer.restore(state)
     elif deadline is not None:
@@ -100,16 +90,43 @@ def train(
     progress.phase("first stage", trainer.settings.iterations)
     before = incomplete_images()
     trainer.run(progress, checkpoint)
-    if incomplete := incomplete_images() - before:
+    _report_run(trainer, incomplete_images() - before, progress)
+    result = estimate_light_albedo(_fitted(trainer).to("cpu"), settings.seed, dataset.train)
+    return result, trainer.settings.iterations / settings.first.iterations
+
+
+def _trainer(dataset: Dataset, settings: Settings, start: Start, material_class: MaterialClass, *, crop: bool, resident: bool) -> Trainer:
+    """Return the trainer of a whole schedule, from which one view is held back where there are enough."""
+    return Trainer(
+        dataset,
+        settings.first,
+        start.gaussians,
+        material_class,
+        settings.seed,
+        hold_back=len(dataset.train) if len(dataset.train) >= MIN_HOLD_BACK_VIEWS else 0,
+        crop=crop,
+        resident=resident,
+        anchors=start.anchors,
+    )
+
+
+def _report_run(trainer: Trainer, incomplete: int, progress: Progress) -> None:
+    """Report `incomplete` images, and depths that were held at stereo's."""
+    if incomplete:
         progress.message(f"warning: in {incomplete} steps the image lacked some surfels, as more were visible than the GPU's buffers hold")
     if trainer.anchors is not None and trainer.anchors.chosen and len(trainer.anchors.pixel):
         kept = len(trainer.anchors.pixel)
         progress.message(f"{kept:,} depths are held at stereo's, where it fits the photographs better than the surfels")
+
+
+def _fitted(trainer: Trainer) -> Reconstruction:
+    """Return what a trainer fitted; raise IrgsppError where a value is not finite."""
     trainer.optimizer.check_finite()
-    fitted = trainer.optimizer.gaussians.select(torch.arange(trainer.optimizer.gaussians.count))
+    dataset, gaussians = trainer.dataset, trainer.optimizer.gaussians
+    fitted = gaussians.select(torch.arange(gaussians.count))
     background = None if trainer.masked else trainer.background.detach().exp()
-    result = Reconstruction(fitted, trainer.light.detach().exp(), dataset.bound, dataset.to_world, material_class.split_sum, background)
-    return estimate_light_albedo(result.to("cpu"), settings.seed, dataset.train), trainer.settings.iterations / settings.first.iterations
+    light, has_split_sum = trainer.light.detach().exp(), trainer.material_class.split_sum
+    return Reconstruction(fitted, light, dataset.bound, dataset.to_world, has_split_sum, background)
 
 
 def _scale_to_deadline(trainer: Trainer, dataset: Dataset, settings: Settings, deadline: float, progress: Progress) -> None:

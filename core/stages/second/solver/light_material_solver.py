@@ -142,8 +142,8 @@ class LightMaterialSolver:
     def subsampled(self, every: int) -> LightMaterialSolver:
         """Return a solver at its start for each `every`-th point; this one must be at its start, too."""
         kept = torch.arange(len(self.albedo), device=self.albedo.device) % every == 0
-        materials = (self.roughness[kept], self.metallic[kept])
-        return LightMaterialSolver(self.samples.subset(kept), self.transfer.subset(kept), *materials, self._seed, self._search_metal)
+        samples, transfer = self.samples.subset(kept), self.transfer.subset(kept)
+        return LightMaterialSolver(samples, transfer, self.roughness[kept], self.metallic[kept], self._seed, self._search_metal)
 
     def start_dark(self) -> None:
         """Start from a dark albedo under a bright light instead."""

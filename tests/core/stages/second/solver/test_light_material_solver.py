@@ -137,7 +137,7 @@ def test_steps_are_reported_and_can_end_the_run(scene):
 
 @pytest.mark.parametrize("moved, computed", [(0.0, 2), (1.0, 8)])
 def test_the_hessian_is_kept_while_the_light_hardly_moves(scene, monkeypatch, moved, computed):
-    """For KEPT steps then; it is computed anew in each step while the light moves, and where materials change."""
+    """For MAX_HESSIAN_AGE steps then; it is computed anew in each step while the light moves, and where materials change."""
     transfer, seen, _ = scene
     solver, calls, original = start(seen, transfer), [], SampleRadiance.hessian
     monkeypatch.setattr(SampleRadiance, "hessian", lambda self, *args: calls.append(self) or original(self, *args))
