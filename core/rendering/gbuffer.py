@@ -65,7 +65,7 @@ def render_gbuffer(
         shaded: compute radiance and background; False where they are not read: they are then 0 and None.
 
     Returns:
-        Layers (H, W) divided by opacity; the radiance of a glossy reconstruction includes reflections of the light it was fitted with.
+        Layers (H, W) divided by opacity; radiance with split-sum includes reflections of the light it was fitted with.
     """
     fitted, known = reconstruction.reflections if shaded else None, reconstruction.confidence
     more = [rows for rows in (None if fitted is None else fitted.material, known) if rows is not None]

@@ -21,7 +21,7 @@ class SecondaryTracer:
     """Frozen Gaussians of the first stage as occluders and reflectors of the second.
 
     Args:
-        reconstruction: result of the first stage. If it is glossy, its SH hold the diffuse radiance only, and the split-sum reflections
+        reconstruction: result of the first stage. With split-sum reflections, its SH hold the diffuse radiance only, and the reflections
             are added.
         surroundings: near surfaces that also block rays and reflect light, or None.
         shadows: surfels hide the light behind them; False: for comparison, they only reflect.

@@ -105,7 +105,7 @@ def refine_jointly(
 
 
 def _with_radiance_of(result: Reconstruction, solved: Reconstruction) -> Reconstruction:
-    """Return a result with the own radiance of a glossy reconstruction: SH alone, as the optimisation needs them, blur its reflections."""
+    """Return a result with the own radiance of a start with split-sum: SH alone, as the optimisation needs them, blur its reflections."""
     if not solved.has_split_sum:
         return result
     gaussians = replace(result.gaussians, sh=solved.gaussians.sh)
