@@ -22,7 +22,7 @@ from irgspp.core.batch.jobs import Job
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.protocols import PROTOCOLS
 from irgspp.core.progress.terminal import Terminal
-from irgspp.core.relight.relighter import is_glossy
+from irgspp.core.relight.relighter import is_mostly_metallic
 from irgspp.core.relight.sample_counts import HQ
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.scene.reconstruction import Reconstruction
@@ -146,7 +146,7 @@ def ablate(args: argparse.Namespace, terminal: Terminal) -> int:
     full = of(Variant(FULL, HQ))
     if "relight_psnr" not in full["figures"]:
         raise InputError(args.dataset, "has no relit ground truth with its light maps, which ablations are measured by")
-    variants = relighting_tables(is_glossy(Reconstruction.load(args.run)), counts)
+    variants = relighting_tables(is_mostly_metallic(Reconstruction.load(args.run)), counts)
     tables = [table(title, [(one.label, str(one.samples), of(one)) for one in rows]) for title, rows in variants.items()]
     if args.training:
         tables.append(training_table(full, args, out, terminal))

@@ -52,7 +52,7 @@ class VertexShading:
 
     def __init__(self, mesh: Mesh, relighter: Relighter, light: PreparedLight, radius: float) -> None:
         self._mesh, self._light, self._radius = mesh, light, radius
-        self._diffuse, self._gloss = relighter.sampled(DIFFUSE_SAMPLES), relighter.sampled(GLOSS_SAMPLES)
+        self._diffuse, self._gloss = relighter.with_samples(DIFFUSE_SAMPLES), relighter.with_samples(GLOSS_SAMPLES)
 
     @cached_property
     def irradiance(self) -> np.ndarray:

@@ -153,7 +153,7 @@ class Evaluation:
         """Compare all views; raises Cancelled between two views when the user stops the work."""
         shown = spread(len(self.cases.views), SHOWN)
         first = {case.number: self._compare_unscaled(case, case.number in shown) for case in self._each_case("evaluate")}
-        relighter = self.relighter.scaled(self.fits.albedo if self.protocol.relit_scaled else None)
+        relighter = self.relighter.with_albedo_scale(self.fits.albedo if self.protocol.relit_scaled else None)
         for case in self._each_case("relight"):
             unlit = first.pop(case.number) or Prediction(render_gbuffer(relighter.reconstruction, case.camera), None)
             prediction = replace(unlit, relit=self._relit(relighter, case))

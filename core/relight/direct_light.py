@@ -15,7 +15,7 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.sampling import point_set
 from .indirect_light import ShadingPoints
 from .prepared_light import PreparedLight
-from .sample_counts import Counts
+from .sample_counts import SampleCounts
 from .secondary_query import SurfaceQuery
 from .visibility_cache import BINS, VisibilityCache
 
@@ -24,7 +24,7 @@ def add_light_samples(
     sums: torch.Tensor,
     points: ShadingPoints,
     shift: torch.Tensor,
-    counts: Counts,
+    counts: SampleCounts,
     light: PreparedLight,
     visibility_cache: VisibilityCache,
     query: SurfaceQuery,
@@ -69,7 +69,7 @@ def add_light_samples(
 
 
 def _on_device(
-    sums: torch.Tensor, points: ShadingPoints, shift: torch.Tensor, counts: Counts, light: PreparedLight, query: SurfaceQuery
+    sums: torch.Tensor, points: ShadingPoints, shift: torch.Tensor, counts: SampleCounts, light: PreparedLight, query: SurfaceQuery
 ) -> tuple[int, int]:
     """Do the same by Warp kernels, tracing every sample above the horizon."""
     from ..kernels.warp import light as kernels  # an optional dependency

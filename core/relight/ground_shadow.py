@@ -19,7 +19,7 @@ from ..scene.lamps import Lamp
 from .denoise import Guides, denoised
 from .estimate import diffuse_albedo
 from .indirect_light import ShadingPoints
-from .lamp_light import lamp_count, lamp_sums
+from .lamp_light import lamp_sums, samples_per_lamp
 from .prepared_light import PreparedLight
 from .primary_hits import PrimaryHits
 from .relighter import Relighter
@@ -92,7 +92,7 @@ def _free_irradiance(relighter: Relighter, surface: PrimaryHits, lamps: Sequence
         return torch.zeros_like(surface.normal)
     points = ShadingPoints.from_roughness(surface.origin, surface.view, surface.normal, surface.roughness)
     shift, free = pixel_shifts(surface.index, surface.camera.width), [dataclasses.replace(lamp, shadow=False) for lamp in lamps]
-    return lamp_sums(points, free, shift, lamp_count(relighter.counts, len(lamps)), relighter.query).sum(1)[:, 0]
+    return lamp_sums(points, free, shift, samples_per_lamp(relighter.counts, len(lamps)), relighter.query).sum(1)[:, 0]
 
 
 def over_shadow(image: np.ndarray, alpha: np.ndarray) -> np.ndarray:

@@ -25,6 +25,9 @@ from .secondary_query import Hits, SurfaceQuery
 from .vertex_transfer import VertexTransfer
 
 SUMS = 12  # three channels each: light for the diffuse lobe, F0, Fresnel, and the diffuse lobe without occlusion
+# Columns of `SecondaryRays.terms`, in the order in which the kernels write them:
+COSINE, LOBES, DENSITY = 2, slice(2, 5), slice(5, 6)  # LOBES: the cosine alone, and times the two parts of the specular lobe
+TERMS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -172,7 +175,7 @@ class SecondaryRays:
     """M rays from each of P points, with everything that does not depend on the light.
 
     Attributes:
-        terms: (P, M, 6) u, v, cosine, cosine times the two parts of the specular lobe, density times the number of all samples; 0 below
+        terms: (P, M, TERMS) u, v, cosine, cosine times the two parts of the specular lobe, density times the number of all samples; 0 below
             the horizon.
         row: (P, M) int32 index of each ray's hit in `hits`, -1 for none.
         hits: reflectances of the K hits.
@@ -187,7 +190,7 @@ class SecondaryRays:
     @property
     def traced(self) -> int:
         """Count the rays above the horizon."""
-        return int((self.terms[..., 2] > 0).sum())
+        return int((self.terms[..., COSINE] > 0).sum())
 
     @property
     def size(self) -> int:
@@ -212,26 +215,26 @@ def trace_samples(scene: SecondaryScene, points: ShadingPoints, samples: Samples
         samples: (P, M) directions; their density is multiplied by the number of all samples of a point.
     """
     count = samples.direction.shape[1]
-    terms = points.normal.new_empty(len(points.normal), count, 6)
+    terms = points.normal.new_empty(len(points.normal), count, TERMS)
     tensors = (points.view, points.normal, points.alpha, samples.direction.contiguous(), samples.density.contiguous(), terms)
     if by_warp(terms):
         _warp_kernels().terms(*tensors)
     else:
         run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in tensors))
-    above = torch.nonzero(terms[..., 2].flatten() > 0)[:, 0]
+    above = torch.nonzero(terms[..., COSINE].flatten() > 0)[:, 0]
     row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32, device=terms.device)
     row[above], hits, surfaces = scene.trace(points.origin[above // count], samples.direction.view(-1, 3)[above])
     return SecondaryRays(terms, row.view(-1, count), hits, surfaces)
 
 
-def gather(rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None) -> torch.Tensor:
+def gather(rays: SecondaryRays, light: PreparedLight, light_map_samples: float, vertex_light: torch.Tensor | None = None) -> torch.Tensor:
     """Sum the light along rays, each weighted as in the rendering equation and divided by its density.
 
     Args:
         rays: traced rays of P points.
         light: the light, possibly rotated.
-        light_count: number of light-map samples per point, drawn separately by `add_light_samples`. So many times the light's own density
-            is added to the density of the rays where they see the light itself, but not where they see a hit surface: light-map samples
+        light_map_samples: light-map samples per point, drawn separately by `add_light_samples`. So many times the light's own density is
+            added to the density of the rays where they see the light itself, but not where they see a hit surface: light-map samples
             add no reflected light, which therefore comes from these rays alone.
         vertex_light: (V, 4) of `VertexTransfer.light`; None: surfaces that rays hit receive the unoccluded light, as in the paper.
 
@@ -244,8 +247,8 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_count: float, vertex
     vertices = sums.new_zeros(0, 4) if vertex_light is None else vertex_light
     tensors = (rays.terms, rays.row, *rays.hits.tensors, vertices, *(t.contiguous() for t in maps))
     if by_warp(sums):
-        _warp_kernels().gather(*tensors, light_count, light.turn, sums)
+        _warp_kernels().gather(*tensors, light_map_samples, light.turn, sums)
     else:
         parts = even_ranges(len(sums), 4 * thread_count())
-        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), light_count, light.turn, sums.numpy())
+        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), light_map_samples, light.turn, sums.numpy())
     return sums

@@ -20,25 +20,25 @@ from ..shading.brdf import sample_visible_normal, visible_normal_density
 from ..shading.lamp_sampling import LampLight, draw_lamp, has_extent, seen_lamp
 from ..shading.rendering_equation import weighted_sums_reference
 from ..shading.sampling import DENSITY_FLOOR, orthonormal_basis, shifted_points
-from .indirect_light import SecondaryRays, ShadingPoints
-from .sample_counts import Counts
+from .indirect_light import DENSITY, LOBES, TERMS, SecondaryRays, ShadingPoints
+from .sample_counts import R2, SampleCounts
 from .secondary_query import SurfaceQuery
 
-LAMPS = 2  # so many lamps get the samples of the light map each; more lamps share them
-LEAST = 4  # samples of a lamp with extent, per point
-BOUNCE = 2  # samples of a lamp with extent, per point of a surface that a secondary ray meets
-BOUNCE_ALPHA = 0.25  # least GGX alpha of these surfaces: lamps mirrored by mirrors would be bright dots (as Cycles' Filter Glossy)
-SHORT = 1 - 1e-4  # fraction of the way to a lamp on which occluders count
+FULL_LAMPS = 2  # so many lamps get the samples of the light map each; more lamps share them
+MIN_LAMP_SAMPLES = 4  # samples of a lamp with extent, per point
+BOUNCE_SAMPLES = 2  # samples of a lamp with extent, per point of a surface that a secondary ray meets
+MIN_BOUNCE_ALPHA = 0.25  # least GGX alpha of these surfaces: lamps mirrored by mirrors would be bright dots (as Cycles' Filter Glossy)
+SHADOW_RAY_FRACTION = 1 - 1e-4  # fraction of the way to a lamp on which occluders count
 
 
-def lamp_count(counts: Counts, lamps: int) -> int:
+def samples_per_lamp(counts: SampleCounts, lamps: int) -> int:
     """Return the samples per point and lamp, an even number.
 
     Args:
         counts: samples of each strategy per point; those of the light map are divided among the lamps.
         lamps: number of lamps.
     """
-    return max(LEAST, counts[2] * LAMPS // max(LAMPS, lamps) // 2 * 2)
+    return max(MIN_LAMP_SAMPLES, counts.light * FULL_LAMPS // max(FULL_LAMPS, lamps) // 2 * 2)
 
 
 def lamp_sums(points: ShadingPoints, lamps: Sequence[Lamp], shift: torch.Tensor, count: int, query: SurfaceQuery) -> torch.Tensor:
@@ -80,14 +80,14 @@ def bounced_sums(rays: SecondaryRays, lamps: Sequence[Lamp], query: SurfaceQuery
     """
     surfaces = rays.surfaces
     assert surfaces is not None
-    points = dataclasses.replace(surfaces.points, alpha=surfaces.points.alpha.clamp_min(BOUNCE_ALPHA))
+    points = dataclasses.replace(surfaces.points, alpha=surfaces.points.alpha.clamp_min(MIN_BOUNCE_ALPHA))
     shift = _shifts(len(points.normal)).to(points.normal)
-    irradiance, f0_term, fresnel_term = lamp_sums(points, lamps, shift, BOUNCE, query).sum(1).unbind(1)
+    irradiance, f0_term, fresnel_term = lamp_sums(points, lamps, shift, BOUNCE_SAMPLES, query).sum(1).unbind(1)
     light = rays.hits.diffuse / math.pi * irradiance + surfaces.f0 * f0_term + fresnel_term
     count = rays.row.shape[1]
     hit = torch.nonzero(rays.row.flatten() >= 0)[:, 0]
-    k, terms = rays.row.flatten()[hit].long(), rays.terms.view(-1, 6)[hit]
-    weight = terms[:, 2:5] / terms[:, 5:] * rays.hits.opacity[k, None]
+    k, terms = rays.row.flatten()[hit].long(), rays.terms.view(-1, TERMS)[hit]
+    weight = terms[:, LOBES] / terms[:, DENSITY] * rays.hits.opacity[k, None]
     sums = light.new_zeros(len(rays.row) * 2, 3, 3)
     sums.index_add_(0, hit // count * 2 + hit % count % 2, weight[:, :, None] * light[k, None])
     return sums.view(-1, 2, 3, 3)
@@ -95,7 +95,7 @@ def bounced_sums(rays: SecondaryRays, lamps: Sequence[Lamp], query: SurfaceQuery
 
 def _shifts(count: int) -> torch.Tensor:
     """Return different shifts on the torus, (count, 2) float64, evenly spread (Roberts 2018)."""
-    u = torch.arange(count, dtype=torch.float64)[:, None] * torch.tensor([0.7548776662466927, 0.5698402909980532], dtype=torch.float64)
+    u = torch.arange(count, dtype=torch.float64)[:, None] * torch.tensor(R2, dtype=torch.float64)
     return (u - u.floor()).clamp_max(1 - 1e-7)
 
 
@@ -107,7 +107,8 @@ def _samples(points: ShadingPoints, frame: torch.Tensor, lamp: Lamp, shift: torc
     u = shifted_points(count, shift)
     local_view = (points.view[:, None] @ frame).expand(-1, 1, -1)
     alpha = points.alpha[:, None]
-    half = sample_visible_normal(local_view, alpha, shifted_points(count // 2 // 2 * 2, shift))
+    even = count // 4 * 2  # half as many as towards the lamp, but even: even and odd samples make independent halves
+    half = sample_visible_normal(local_view, alpha, shifted_points(even, shift))
     mirrored = torch.nn.functional.normalize((2 * (local_view * half).sum(-1, keepdim=True) * half - local_view) @ frame.mT, dim=-1)
     both = (draw_lamp(lamp, points.origin, u), seen_lamp(lamp, points.origin, mirrored))
     direction, distance, density, radiance = (torch.cat([getattr(part, f.name) for part in both], 1) for f in dataclasses.fields(LampLight))
@@ -129,7 +130,7 @@ def _unoccluded(points: ShadingPoints, lamp: Lamp, arriving: LampLight, lit: tor
     if not lamp.shadow:
         return fraction
     point, sample = torch.nonzero(lit, as_tuple=True)
-    ways = (arriving.direction[point, sample], SHORT * arriving.distance[point, sample])
+    ways = (arriving.direction[point, sample], SHADOW_RAY_FRACTION * arriving.distance[point, sample])
     fraction[point, sample] = 1 - query.hidden(points.origin[point], ways[0].contiguous(), ways[1].contiguous()).to(fraction)
     return fraction
 

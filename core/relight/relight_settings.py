@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..settings.schema import SkipSettings
-from .sample_counts import Counts
+from .sample_counts import Proportions
 
 
 @dataclass(frozen=True)
@@ -45,7 +45,7 @@ class RelightSettings:
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
     error: float | None = None
-    allocation: Counts | None = None
+    allocation: Proportions | None = None
     shadows: bool = True
     ratio: bool = True
     divide: bool = True

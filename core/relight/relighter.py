@@ -27,13 +27,13 @@ from .direct_light import add_light_samples
 from .estimate import Estimate, estimate_reflected_light, joined_estimate
 from .image_noise import PILOT, ROUNDS, estimate_noise
 from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
-from .lamp_light import bounced_sums, lamp_count, lamp_sums
+from .lamp_light import bounced_sums, lamp_sums, samples_per_lamp
 from .mesh_query import MeshQuery
 from .prepared_light import PreparedLight
 from .primary_hits import DividedHits, PrimaryHits, divided_hits, primary_hits
 from .ray_cache import CachedRays, RayCounter
 from .relight_settings import RelightSettings
-from .sample_counts import Counts, pixel_shifts, sample_counts
+from .sample_counts import SampleCounts, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
 from .vertex_transfer import VertexTransfer
 from .visibility_cache import VisibilityCache, build_visibility_cache
@@ -72,12 +72,12 @@ class Relighter:
         self.counts = self._counts_of(settings.samples)
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
-        self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[Counts, int], CachedRays]] = WeakKeyDictionary()
+        self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[SampleCounts, int], CachedRays]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
         self.tally = RayCounter()
         self.estimated_error = 0.0  # of the last image, if settings.error is set
 
-    def scaled(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
+    def with_albedo_scale(self, albedo_scale: Sequence[float] | np.ndarray | None) -> Relighter:
         """Return the relighter with another factor (3,) of the albedo; None: itself."""
         if albedo_scale is None:
             return self
@@ -85,21 +85,21 @@ class Relighter:
         settings = dataclasses.replace(self.settings, albedo_scale=(r, g, b))
         return Relighter(self.reconstruction, self.query, settings, self.mesh)
 
-    def sampled(self, samples: int) -> Relighter:
+    def with_samples(self, samples: int) -> Relighter:
         """Return the relighter with another number of samples per pixel."""
         return Relighter(self.reconstruction, self.query, dataclasses.replace(self.settings, samples=samples), self.mesh)
 
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
         if not self.settings.divide:
-            return self._placed(primary_hits(self.reconstruction, camera, self._scale))
+            return self._with_normals_and_origins(primary_hits(self.reconstruction, camera, self._scale))
         surface, rays = divided_hits(self.reconstruction, camera, self._scale)
-        surface = self._placed(surface)
+        surface = self._with_normals_and_origins(surface)
         if not len(rays.index):
             return surface
-        return dataclasses.replace(surface, divided=DividedHits.of(surface, self._placed(rays)))
+        return dataclasses.replace(surface, divided=DividedHits.of(surface, self._with_normals_and_origins(rays)))
 
-    def _placed(self, surface: PrimaryHits) -> PrimaryHits:
+    def _with_normals_and_origins(self, surface: PrimaryHits) -> PrimaryHits:
         """Return a surface with refined normals, and with origins of secondary rays."""
         if self.mesh is not None and self.settings.mesh_normals > 0:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
@@ -129,18 +129,18 @@ class Relighter:
         return self._reflected(surface, self.counts, light, lamps)
 
     @torch.no_grad()
-    def _reflected(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
+    def _reflected(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
         """Estimate as `reflected`, with a number of samples of each strategy."""
         if light.distribution is None and not lamps:
             black = torch.zeros_like(surface.albedo)
             return Estimate(black, black, black, black, sum(counts))
         if surface.divided is None:
-            return self._sampled(surface, counts, light, lamps)
-        single = self._sampled(surface.divided.single, counts, light, lamps)
+            return self._estimate(surface, counts, light, lamps)
+        single = self._estimate(surface.divided.single, counts, light, lamps)
         of_ray = self._counts_of(max(1, sum(counts) // SUBPIXELS**2))
-        return joined_estimate(surface.divided, single, self._sampled(surface.divided.rays, of_ray, light, lamps))
+        return joined_estimate(surface.divided, single, self._estimate(surface.divided.rays, of_ray, light, lamps))
 
-    def _sampled(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
+    def _estimate(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
         """Estimate the light that points reflect, by as many samples at each."""
         sums = self._sums(surface, counts, light, lamps)
         return estimate_reflected_light(sums, sum(counts), surface, light, self.settings.conserving, self.settings.ratio)
@@ -170,9 +170,9 @@ class Relighter:
         self.tally.add("pixels", len(surface.index))
         return colour
 
-    def _counts_of(self, samples: str | int) -> Counts:
+    def _counts_of(self, samples: str | int) -> SampleCounts:
         """Return the samples of each strategy for a number of samples."""
-        return sample_counts(samples, is_glossy(self.reconstruction), self.settings.allocation)
+        return sample_counts(samples, is_mostly_metallic(self.reconstruction), self.settings.allocation)
 
     def _guides_of(self, surface: PrimaryHits) -> Guides:
         """Return the guide layers of a surface, kept as long as it lives."""
@@ -181,7 +181,7 @@ class Relighter:
             self._guides[surface] = Guides(surface, self.reconstruction.bound.radius, keep_weights)
         return self._guides[surface]
 
-    def _sums(self, surface: PrimaryHits, counts: Counts, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
+    def _sums(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Return sums over samples (P, 2, 12), see `gather`, and those of lamps if any, computed in parts of limited memory."""
         rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
         count, step = len(surface.index), max(1, rays // sum(counts))
@@ -199,7 +199,7 @@ class Relighter:
         self,
         surface: PrimaryHits,
         part: slice,
-        counts: Counts,
+        counts: SampleCounts,
         light: PreparedLight,
         lamps: Sequence[Lamp],
         vertex_light: torch.Tensor | None,
@@ -209,16 +209,16 @@ class Relighter:
         sums = self._map_sums(cached, counts, light, vertex_light)
         if not lamps:
             return sums
-        by_lamps = lamp_sums(cached.points, lamps, cached.shift, lamp_count(counts, len(lamps)), self.query)
+        by_lamps = lamp_sums(cached.points, lamps, cached.shift, samples_per_lamp(counts, len(lamps)), self.query)
         if cached.rays.surfaces is not None:
             by_lamps += bounced_sums(cached.rays, lamps, self.query)
         return torch.cat([sums, by_lamps.flatten(2)], -1)
 
-    def _map_sums(self, cached: CachedRays, counts: Counts, light: PreparedLight, vertex_light: torch.Tensor | None) -> torch.Tensor:
+    def _map_sums(self, cached: CachedRays, counts: SampleCounts, light: PreparedLight, vertex_light: torch.Tensor | None) -> torch.Tensor:
         """Return the sums over samples of the light map, 0 where it is black."""
         if light.distribution is None:
             return cached.shift.new_zeros(len(cached.shift), 2, SUMS)
-        by_light = counts[2] if self.settings.sampling == "mis" else 0
+        by_light = counts.light if self.settings.sampling == "mis" else 0
         collect = gather if self.settings.shadows else gather_unoccluded
         sums = collect(cached.rays, light, by_light, vertex_light)
         if by_light:
@@ -227,7 +227,7 @@ class Relighter:
             self.tally.add("open", above - traced)
         return sums
 
-    def _cached_rays(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, for_lamps: bool) -> CachedRays:
+    def _cached_rays(self, surface: PrimaryHits, part: slice, counts: SampleCounts, light: PreparedLight, for_lamps: bool) -> CachedRays:
         """Return what does not depend on the light for some of the points; it is kept for the next light if memory allows."""
         parts = self._ray_cache.setdefault(surface, {})
         key = (counts, part.start)
@@ -247,12 +247,12 @@ class Relighter:
         rays = sum(one.size for parts in self._ray_cache.values() for one in parts.values())
         return CACHE_BYTES - rays - sum(guides.size for guides in self._guides.values())
 
-    def _trace_part(self, surface: PrimaryHits, part: slice, counts: Counts, light: PreparedLight, for_lamps: bool) -> CachedRays:
+    def _trace_part(self, surface: PrimaryHits, part: slice, counts: SampleCounts, light: PreparedLight, for_lamps: bool) -> CachedRays:
         """Draw and trace the cosine and visible-normal samples (all samples without MIS) of some of the points."""
         distribution = light.distribution or LightDistribution(light.radiance)  # uniform for a black map
         shift = pixel_shifts(surface.index[part], surface.camera.width)
         arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
-        counts = (*counts[:2], 0) if self.settings.sampling == "mis" else counts
+        counts = counts._replace(light=0) if self.settings.sampling == "mis" else counts
         drawn = draw(*arguments, counts, distribution, shift, self.settings.sampling)
         points = ShadingPoints.from_roughness(surface.origin[part], *arguments)
         scale = self._scale if self.settings.indirect else None
@@ -263,7 +263,7 @@ class Relighter:
         return CachedRays(points, shift, rays, build_visibility_cache(drawn.direction, rays, surface.index[part], surface.camera.width))
 
 
-def is_glossy(reconstruction: Reconstruction) -> bool:
+def is_mostly_metallic(reconstruction: Reconstruction) -> bool:
     """Return True where the mean metallic of the Gaussians, weighted by opacity and area, exceeds 0.5.
 
     Light reaches such a surface from few directions, so that fewer samples suffice.

@@ -37,7 +37,7 @@ class WithoutShadows:
 
 
 def gather_unoccluded(
-    rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None
+    rays: SecondaryRays, light: PreparedLight, light_map_samples: float, vertex_light: torch.Tensor | None = None
 ) -> torch.Tensor:
     """Sum the light along rays as `gather`, but with the light map seen through the surfaces that rays hit: L_i = L_env + L_reflected.
 
@@ -45,5 +45,5 @@ def gather_unoccluded(
     """
     hits, nothing = rays.hits, torch.zeros_like(rays.hits.diffuse)
     black = replace(rays, hits=replace(hits, diffuse=nothing, specular=nothing))
-    free = gather(replace(rays, row=torch.full_like(rays.row, -1)), light, light_count)
-    return free + gather(rays, light, light_count, vertex_light) - gather(black, light, light_count, vertex_light)
+    free = gather(replace(rays, row=torch.full_like(rays.row, -1)), light, light_map_samples)
+    return free + gather(rays, light, light_map_samples, vertex_light) - gather(black, light, light_map_samples, vertex_light)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from irgspp.core.relight.backends import Backend
-from irgspp.core.relight.sample_counts import EFFICIENT, EFFICIENT_GLOSSY, HQ
+from irgspp.core.relight.sample_counts import EFFICIENT, EFFICIENT_METALLIC, HQ
 
 
 @dataclass(frozen=True)
@@ -68,7 +68,7 @@ def relighting_tables(glossy: bool, counts: Sequence[int]) -> dict[str, list[Var
         glossy: the object is mostly metal.
         counts: numbers of samples at which MIS and strata are compared.
     """
-    few = EFFICIENT_GLOSSY if glossy else EFFICIENT
+    few = EFFICIENT_METALLIC if glossy else EFFICIENT
     unfiltered = {"denoise": "off"}
     modules: list[tuple[str, dict[str, Any], Backend]] = [
         (FULL, {}, "mesh"),

@@ -82,7 +82,7 @@ def _figures(bench: Bench, scene: Scene, preset: str) -> Measurement:
 def _lpips(scene: Scene, run: Path, scale: list[float] | None, lpips: Lpips) -> dict[str, float]:
     """Return LPIPS of new views, relit views and albedo: means over views, and over lights where there are several."""
     plain, lights = _relighter(run), {name: prepare_light(scene.truth.lights[name]) for name in scene.relights}
-    relighter, own = plain.scaled(scale), prepare_light(plain.reconstruction.environment_map())
+    relighter, own = plain.with_albedo_scale(scale), prepare_light(plain.reconstruction.environment_map())
     values: dict[str, list[float]] = {"nvs_lpips": [], "relight_lpips": [], "albedo_lpips": []}
     for view in scene.views:
         truth = scene.view_truth(view)
@@ -108,7 +108,7 @@ def _shown(bench: Bench, scene: Scene) -> Measurement:
     run = bench.run(scene, bench.balanced())
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     plain, view = _relighter(run.path), scene.views[0]
-    relighter, truth = plain.scaled(scale), scene.view_truth(view)
+    relighter, truth = plain.with_albedo_scale(scale), scene.view_truth(view)
     shaded = plain.relit(plain.surface(view.camera), prepare_light(plain.reconstruction.environment_map())).numpy()
     prediction = Prediction(render_gbuffer(plain.reconstruction, view.camera), shaded)
     shown = {"photograph": truth.image, "photograph, ours": metrics.on_black(shaded)}

@@ -138,7 +138,7 @@ def _headline(bench: Bench, scene: Scene, plan: RunPlan, variant: RelightVariant
     """Measure the error against the true relit images of a few views, with the albedo scale that all views give, and the frame rate."""
     run = bench.run(scene, plan)
     scale, one = bench.evaluation(scene, run.path)["albedo_scale"], studio(bench, scene, run.path)
-    relighter = one.relighter(variant, samples).scaled(scale)
+    relighter = one.relighter(variant, samples).with_albedo_scale(scale)
     rows, shown = [], {}
     for lit_view in one.lit_views:
         ours = metrics.on_black(relighter.relit(relighter.surface(lit_view.view.camera), lit_view.prepared).numpy())

@@ -97,7 +97,7 @@ def _indirect(bench: Bench, scene: Scene, indirect: bool) -> Measurement:
     scale = bench.evaluation(scene, run.path)["albedo_scale"]
     values = []
     for lit_view in one.lit_views:
-        relighter = one.relighter(RelightVariant(indirect=indirect), 256).scaled(scale)
+        relighter = one.relighter(RelightVariant(indirect=indirect), 256).with_albedo_scale(scale)
         ours = metrics.on_black(relighter.relit(relighter.surface(lit_view.view.camera), lit_view.prepared).numpy())
         values.append(metrics.psnr(ours, lit_view.true))
     return Measurement({"true_psnr": float(np.mean(values))})

@@ -35,7 +35,7 @@ def ablations(script, monkeypatch, tmp_path):
     (run / "run.json").write_text(json.dumps({"status": "done", "settings": to_dict(settings), "phases": {}}))
     monkeypatch.setattr(relighting, "evaluate", evaluate)
     monkeypatch.setattr(module.Reconstruction, "load", lambda path: None)
-    monkeypatch.setattr(module, "is_glossy", lambda reconstruction: True)
+    monkeypatch.setattr(module, "is_mostly_metallic", lambda reconstruction: True)
     start = lambda *words: module.main([str(tmp_path / "data"), str(run), "-o", str(tmp_path / "out"), "--counts", "8,64", *words])  # noqa: E731
     return start, asked, figures
 

@@ -10,14 +10,14 @@ from irgspp.core.shading.environment_lookup import lookup
 
 
 def gather_reference(
-    rays: SecondaryRays, light: PreparedLight, light_count: float, vertex_light: torch.Tensor | None = None
+    rays: SecondaryRays, light: PreparedLight, light_map_samples: float, vertex_light: torch.Tensor | None = None
 ) -> torch.Tensor:
     """Compute `gather` in PyTorch operations, in double precision.
 
     Args:
         rays: traced rays of P points.
         light: the light, possibly rotated.
-        light_count: number of light-map samples per point, see `gather`.
+        light_map_samples: number of light-map samples per point, see `gather`.
         vertex_light: (V, 4), see `gather`.
 
     Returns:
@@ -37,7 +37,7 @@ def gather_reference(
         irradiance, mirrored = at_hits[:, :3], at_hits[:, 3:] * mirrored
     reflected = hits.diffuse[k] * irradiance + hits.specular[k] * mirrored
     own_density, hidden = density.flatten()[hit, None], hits.opacity[k, None]
-    free = free / (density + light_count * light.distribution.density(direction)).view(-1, 1)
+    free = free / (density + light_map_samples * light.distribution.density(direction)).view(-1, 1)
     seen = free.index_copy(0, hit, (1 - hidden) * free[hit] + hidden * reflected / own_density)
     seen, free = (torch.where(lobes[0].view(-1, 1) > 0, each, 0.0).view_as(direction) for each in (seen, free))
     terms = torch.cat([*(lobe[..., None] * seen for lobe in lobes), lobes[0][..., None] * free], -1)

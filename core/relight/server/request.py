@@ -45,7 +45,7 @@ def read_request(values: Any, session: Path) -> Request:
         raise InputError("request", f"samples must be a number, hq or efficient, got {samples}")
     if backend not in ("mesh", "gaussian") or len(scale) != 3 or not all(0 <= factor < float("inf") for factor in scale):
         raise InputError("request", f"backend {backend} must be mesh or gaussian, albedo scale {scale} three finite numbers >= 0")
-    sample_counts(samples, glossy=False)
+    sample_counts(samples, metallic=False)
     return Request(camera, light, read_lamps(lamps), samples=samples, backend=backend, albedo_scale=scale, ground=ground, **options)
 
 

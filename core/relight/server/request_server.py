@@ -196,7 +196,7 @@ class RequestServer:
 
 def _rays(samples: str | int) -> int:
     """Return the number of samples per pixel."""
-    return sum(sample_counts(samples, glossy=False))
+    return sum(sample_counts(samples, metallic=False))
 
 
 def write_json(path: Path, values: dict[str, Any]) -> None:

@@ -52,7 +52,7 @@ def known(demo, monkeypatch):
             self.brightness = brightness
             self.reconstruction, self.mesh = known, None
 
-        def scaled(self, scale):
+        def with_albedo_scale(self, scale):
             return self if scale is None else KnowingRelighter(float(np.mean(scale)))
 
         def surface(self, camera):

@@ -8,6 +8,7 @@ from gather_reference import gather_reference
 from irgspp.core.relight.direct_light import add_light_samples
 from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, ShadingPoints, gather, trace_samples
 from irgspp.core.relight.prepared_light import prepare_light
+from irgspp.core.relight.sample_counts import SampleCounts
 from irgspp.core.relight.visibility_cache import VisibilityCache
 from irgspp.core.shading.environment_lookup import lookup, rotate
 from irgspp.core.shading.procedural_lights import studio_light
@@ -15,7 +16,7 @@ from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import Samples, draw
 
 pytestmark = pytest.mark.usefixtures("engine")
-COUNTS = (9, 6, 5)
+COUNTS = SampleCounts(9, 6, 5)
 SCALE = torch.tensor([1.0, 0.8, 0.6])
 
 
@@ -42,16 +43,16 @@ def traced(one, surface, samples, scale=SCALE, transfer=None) -> SecondaryRays:
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])
 @pytest.mark.parametrize("material", [(0.6, 0.4, 0.2, 0.7, 0.0), (0.9, 0.7, 0.3, 0.2, 1.0)])
-@pytest.mark.parametrize(("scale", "light_count", "by_vertices"), [(SCALE, 0, False), (SCALE, 5, True), (None, 5, False)])
-def test_gather_equals_its_reference(relighter, camera, light, backend, material, scale, light_count, by_vertices):
+@pytest.mark.parametrize(("scale", "light_map_samples", "by_vertices"), [(SCALE, 0, False), (SCALE, 5, True), (None, 5, False)])
+def test_gather_equals_its_reference(relighter, camera, light, backend, material, scale, light_map_samples, by_vertices):
     one = relighter(backend, material)
     surface = one.surface(camera)
     transfer = relighter("mesh", material).mesh.transfer if by_vertices else None
-    rays = traced(one, surface, drawn(surface, (*COUNTS[:2], 0) if light_count else COUNTS, light), scale, transfer)
+    rays = traced(one, surface, drawn(surface, COUNTS._replace(light=0) if light_map_samples else COUNTS, light), scale, transfer)
     assert 0 < len(rays.hits.opacity) < rays.row.numel() and rays.size > 20 * rays.row.numel()
     for seen in (light, light.turned(77)):
         vertex_light = transfer.light(seen, scale) if transfer else None
-        found, expected = (function(rays, seen, light_count, vertex_light) for function in (gather, gather_reference))
+        found, expected = (function(rays, seen, light_map_samples, vertex_light) for function in (gather, gather_reference))
         scaled = (found - expected).abs() / expected.abs().mean(0)
         assert scaled.quantile(0.999) < 2e-3 and scaled.mean() < 1e-4
 
@@ -62,8 +63,8 @@ def test_parts_of_the_mixture_come_to_the_whole(relighter, camera, light):
     surface = one.surface(camera)
     whole = drawn(surface, COUNTS, light)
     at_once = gather(traced(one, surface, whole, None), light, 0).sum(1)
-    lasting, late = drawn(surface, (*COUNTS[:2], 0), light), drawn(surface, COUNTS, light, light_only=True)
-    apart = (gather(traced(one, surface, lasting, None), light, COUNTS[2]) + gather(traced(one, surface, late, None), light, 0)).sum(1)
+    lasting, late = drawn(surface, COUNTS._replace(light=0), light), drawn(surface, COUNTS, light, light_only=True)
+    apart = (gather(traced(one, surface, lasting, None), light, COUNTS.light) + gather(traced(one, surface, late, None), light, 0)).sum(1)
     torch.testing.assert_close(apart, at_once, rtol=2e-3, atol=2e-3 * float(at_once.mean()))
     incoming = lookup(light.radiance, whole.direction.view(-1, 3)).view_as(whole.direction)
     plain = Samples(whole.direction, whole.density / sum(COUNTS))
@@ -79,10 +80,11 @@ def test_what_is_met_is_as_bright_where_samples_of_the_light_leave_it_out(religh
     surface = one.surface(camera)
     ways = ((drawn(surface, (*many[:2], 0), light), many[2]), (drawn(surface, many, light), 0))
     apart, at_once = (
-        (gather(traced(one, surface, samples), light, light_count) - gather(traced(one, surface, samples, None), light, light_count)).sum(
-            (0, 1)
-        )
-        for samples, light_count in ways
+        (
+            gather(traced(one, surface, samples), light, light_map_samples)
+            - gather(traced(one, surface, samples, None), light, light_map_samples)
+        ).sum((0, 1))
+        for samples, light_map_samples in ways
     )
     assert (at_once[:9] > 0).all() and (at_once[9:] == 0).all()
     torch.testing.assert_close(apart[:9], at_once[:9], rtol=0.05, atol=0)
@@ -100,7 +102,7 @@ def test_light_samples_out_of_the_table_are_those_drawn(relighter, camera, backe
     expected = gather(traced(one, surface, drawn(surface, COUNTS, still, light_only=True), None), still, 0)
     sums = torch.zeros_like(expected)
     above, asked = add_light_samples(sums, points, shift, COUNTS, light, VisibilityCache.unknown(len(shift)), one.query)
-    assert above == asked and 0.3 * len(shift) * COUNTS[2] < above < 0.8 * len(shift) * COUNTS[2]
+    assert above == asked and 0.3 * len(shift) * COUNTS.light < above < 0.8 * len(shift) * COUNTS.light
     torch.testing.assert_close(sums.mean(0), expected.mean(0), rtol=0.05, atol=0.02 * float(expected.mean()))
     if degrees == 0.0:  # else the turned light's samples are others
         assert ((sums - expected).abs().median(0).values < 0.03 * expected.mean(0)).all()

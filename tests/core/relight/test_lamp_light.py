@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.relight.indirect_light import ShadingPoints
-from irgspp.core.relight.lamp_light import lamp_count, lamp_sums
+from irgspp.core.relight.lamp_light import lamp_sums, samples_per_lamp
 from irgspp.core.relight.prepared_light import prepare_light
+from irgspp.core.relight.sample_counts import SampleCounts
 from irgspp.core.scene.lamps import Lamp
 from irgspp.core.shading.procedural_lights import studio_light
 
@@ -100,5 +101,5 @@ def test_few_samples_have_the_mean_of_many(roughness):
 
 
 def test_lamps_share_the_samples():
-    assert [lamp_count((8, 8, 16), lamps) for lamps in (1, 2, 4, 40)] == [16, 16, 8, 4]
-    assert lamp_count((1, 0, 0), 1) == 4
+    assert [samples_per_lamp(SampleCounts(8, 8, 16), lamps) for lamps in (1, 2, 4, 40)] == [16, 16, 8, 4]
+    assert samples_per_lamp(SampleCounts(1, 0, 0), 1) == 4

@@ -185,10 +185,10 @@ def test_albedo_scale_holds_for_what_is_seen_in_reflections_too(relighter, camer
     """A matt scene of half the albedo equals the scaled one."""
     whole, half = (relighter("mesh", (a, a, a, 0.9, 0.0)) for a in (0.8, 0.4))
     reference = half.relit(half.surface(camera), WHITE)
-    scaled = whole.scaled((0.5, 0.5, 0.5))
+    scaled = whole.with_albedo_scale((0.5, 0.5, 0.5))
     assert torch.allclose(scaled.relit(scaled.surface(camera), WHITE), reference, atol=1e-3)
     assert scaled.settings == dataclasses.replace(whole.settings, albedo_scale=(0.5, 0.5, 0.5))
-    assert whole.scaled(None) is whole
+    assert whole.with_albedo_scale(None) is whole
 
 
 def test_image_is_linear_in_the_light(relighter, camera):

@@ -8,7 +8,7 @@ from irgspp.core.relight.sample_counts import pixel_shifts, sample_counts
 
 
 @pytest.mark.parametrize(
-    ("samples", "glossy", "counts"),
+    ("samples", "metallic", "counts"),
     [
         ("hq", False, (128, 128, 256)),
         ("hq", True, (64, 256, 192)),
@@ -20,8 +20,8 @@ from irgspp.core.relight.sample_counts import pixel_shifts, sample_counts
         (1, False, (1, 0, 0)),
     ],
 )
-def test_counts(samples, glossy, counts):
-    assert sample_counts(samples, glossy) == counts
+def test_counts(samples, metallic, counts):
+    assert sample_counts(samples, metallic) == counts
 
 
 @pytest.mark.parametrize("samples", ["0", "-3", "many", "1e3", "1000000", ""])
