@@ -27,11 +27,11 @@ from ..surface.texturing import stoppable
 from .alignment import displacement
 from .candidates import Candidates, TexelView, add_candidates
 from .combination import combine
-from .depth_map import DepthMap, depth_map
 from .evidence import Evidence
-from .levelling import level
+from .mesh_depth import MeshDepth, render_mesh_depth
 from .mesh_texels import mesh_texels
-from .photographs import Photograph, find_photographs
+from .photographs import FullSizePhotograph, find_full_size_photographs
+from .radiometric_correction import fit_correction
 from .report import DetailReport
 from .sharpness import relative_blur
 from .vertex_shading import VertexShading, ViewShading
@@ -72,7 +72,7 @@ class AlbedoDetail:
         self._texels = mesh_texels(mesh, len(texture))
         self.candidates = Candidates.empty(len(self._texels.index))
 
-    def align(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> None:
+    def align(self, photographs: Sequence[FullSizePhotograph], step: Callable[[int], None]) -> None:
         """Find the displacement of each photograph against a texture that is made of all of them at a lower resolution.
 
         Args:
@@ -96,7 +96,7 @@ class AlbedoDetail:
         """Albedo (P, 3) of the working solution at the texels."""
         return self._albedo.reshape(-1, 3)[self._texels.index]
 
-    def add(self, photograph: Photograph, candidates: Candidates) -> bool:
+    def add(self, photograph: FullSizePhotograph, candidates: Candidates) -> bool:
         """Sample a photograph; return False where it can't be read or too little of the object is seen in it.
 
         Args:
@@ -109,17 +109,17 @@ class AlbedoDetail:
         add_candidates(view, self._mesh, self._texels, candidates)
         return True
 
-    def _view(self, photograph: Photograph) -> TexelView | None:
+    def _view(self, photograph: FullSizePhotograph) -> TexelView | None:
         """Return a photograph ready to be sampled; None where it can't be read or too little of the object is seen in it."""
         try:
-            decoded = photograph.decode()
+            decoded = photograph.load()
         except InputError as error:
             self.failed[photograph.name] = str(error)
             return None
         if photograph.name not in self._shaded:
             self._shaded[photograph.name] = self._shading.seen_by(decoded.camera), relative_blur(decoded)
         shading, blur = self._shaded[photograph.name]
-        correction = level(decoded, self._mesh, self._albedo, shading)
+        correction = fit_correction(decoded, self._mesh, self._albedo, shading)
         if correction is None:
             return None
         view = TexelView(decoded, self._depth(decoded.camera, decoded.lens.size), correction, shading, blur)
@@ -132,13 +132,15 @@ class AlbedoDetail:
             self._shift[photograph.name] = displacement(decoded, self._mesh, *images, shading, correction)
         return replace(view, shift=self._shift[photograph.name])
 
-    def _depth(self, camera: Camera, full: tuple[int, int]) -> DepthMap:
+    def _depth(self, camera: Camera, full: tuple[int, int]) -> MeshDepth:
         """Return the depth of the mesh at a resolution between that of the camera and of the photograph."""
         longest = max(camera.width, camera.height)
         scale = min(max(full), max(DEPTH_SIDE, longest)) / longest
-        return depth_map(self._mesh.vertices, self._mesh.faces, camera.resized(round(camera.width * scale), round(camera.height * scale)))
+        return render_mesh_depth(
+            self._mesh.vertices, self._mesh.faces, camera.resized(round(camera.width * scale), round(camera.height * scale))
+        )
 
-    def add_all(self, photographs: Sequence[Photograph], step: Callable[[int], None]) -> int:
+    def add_all(self, photographs: Sequence[FullSizePhotograph], step: Callable[[int], None]) -> int:
         """Sample photographs one after another; return how many could be used.
 
         Args:
@@ -151,7 +153,7 @@ class AlbedoDetail:
             step(number + 1)
         return used
 
-    def held_back(self, photographs: Sequence[Photograph], albedo: np.ndarray) -> Evidence:
+    def held_back(self, photographs: Sequence[FullSizePhotograph], albedo: np.ndarray) -> Evidence:
         """Compare an albedo with photographs that it was not made from.
 
         Args:
@@ -198,7 +200,7 @@ class AlbedoDetail:
 
 
 def detailed(
-    mesh: Mesh, reconstruction: Reconstruction, photographs: Sequence[Photograph], choice: Choice, progress: Progress
+    mesh: Mesh, reconstruction: Reconstruction, photographs: Sequence[FullSizePhotograph], choice: Choice, progress: Progress
 ) -> tuple[Mesh, DetailReport]:
     """Give the albedo texture of a mesh the detail of full-size photographs.
 
@@ -260,13 +262,13 @@ def detailed_by_dataset(
     """
     if settings.surface.albedo_detail == "off":
         return mesh, DetailReport(False, "turned off")
-    photographs, missing = find_photographs(dataset, settings.data, cameras)
+    photographs, missing = find_full_size_photographs(dataset, settings.data, cameras)
     if missing:
         progress.message(f"warning: {missing}; the texture takes no detail from them")
     return detailed(mesh, reconstruction, photographs, settings.surface.albedo_detail, progress)
 
 
-def _readable(photographs: Sequence[Photograph], progress: Progress) -> list[Photograph]:
+def _readable(photographs: Sequence[FullSizePhotograph], progress: Progress) -> list[FullSizePhotograph]:
     """Return the photographs that are on the disk as they were, with a warning about each other one."""
     good = []
     for one in photographs:

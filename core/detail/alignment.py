@@ -8,9 +8,9 @@ import numpy as np
 
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
-from .depth_map import DepthMap, depth_map
-from .levelling import Level
-from .photographs import DecodedPhotograph
+from .mesh_depth import MeshDepth, render_mesh_depth
+from .photographs import LoadedPhotograph
+from .radiometric_correction import RadiometricCorrection
 from .vertex_shading import ViewShading
 
 SIDE = 1280  # longest side of the images that are aligned, pixels
@@ -22,7 +22,7 @@ PATCH = 5.0  # standard deviation of that neighbourhood, pixels
 
 
 def displacement(
-    photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, known: np.ndarray, shading: ViewShading, level: Level
+    photograph: LoadedPhotograph, mesh: Mesh, albedo: np.ndarray, known: np.ndarray, shading: ViewShading, correction: RadiometricCorrection
 ) -> np.ndarray:
     """Find where a photograph shows the texture, by dense optical flow (Kroeger et al. 2016) and a filter that contrast weights.
 
@@ -32,17 +32,17 @@ def displacement(
         albedo: (S, S, 3) float32 linear texture with detail.
         known: (S, S) bool, texels that photographs show.
         shading: shading of the mesh's vertices towards the camera.
-        level: correction of the photograph.
+        correction: correction of the photograph.
 
     Returns:
         (h, w, 2) float32 displacement in pixels of the working resolution; 0 where nothing is seen.
     """
     working = photograph.camera
     camera = _enlarged(working, photograph.lens.size)
-    view = depth_map(mesh.vertices, mesh.faces, camera)
+    view = render_mesh_depth(mesh.vertices, mesh.faces, camera)
     shown, inside = rendered_albedo(view, mesh, albedo, known)
-    seen = _observed_albedo(photograph, view, mesh, shading, level)
-    inside &= cv2.resize(level.inside, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR) > 0
+    seen = _observed_albedo(photograph, view, mesh, shading, correction)
+    inside &= cv2.resize(correction.inside, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR) > 0
     # The same values outside, so that nothing there draws the flow.
     shown, seen = (np.where(inside, np.sqrt(np.clip(image, 0, 1)), 0.5).astype(np.float32) for image in (shown, seen))
     search = cv2.DISOpticalFlow.create(cv2.DISOPTICAL_FLOW_PRESET_MEDIUM)
@@ -75,7 +75,7 @@ def _enlarged(camera: Camera, full: tuple[int, int]) -> Camera:
     return camera.resized(round(camera.width * scale), round(camera.height * scale))
 
 
-def rendered_albedo(view: DepthMap, mesh: Mesh, albedo: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def rendered_albedo(view: MeshDepth, mesh: Mesh, albedo: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Render green of a texture, and where it is known.
 
     Args:
@@ -96,16 +96,18 @@ def rendered_albedo(view: DepthMap, mesh: Mesh, albedo: np.ndarray, known: np.nd
     return image, inside
 
 
-def _observed_albedo(photograph: DecodedPhotograph, view: DepthMap, mesh: Mesh, shading: ViewShading, level: Level) -> np.ndarray:
+def _observed_albedo(
+    photograph: LoadedPhotograph, view: MeshDepth, mesh: Mesh, shading: ViewShading, correction: RadiometricCorrection
+) -> np.ndarray:
     """Return green of the albedo (H, W) that a photograph shows, undistorted, at the resolution of a depth map."""
     size = view.camera.width, view.camera.height
     image = photograph.undistorted(view.camera)[..., 1]
     row, column = np.nonzero(view.triangle >= 0)
     values = np.stack([shading.factor[:, 1], shading.gloss[:, 1]], -1)
     at = view.interpolate(values, mesh.faces, row, column)
-    factor = cv2.resize(level.factor[..., 1], size, interpolation=cv2.INTER_LINEAR)
+    factor = cv2.resize(correction.low_frequency[..., 1], size, interpolation=cv2.INTER_LINEAR)
     albedo = np.zeros(view.triangle.shape, np.float32)
-    seen = image[row, column] / level.gain[1]
+    seen = image[row, column] / correction.gain[1]
     albedo[row, column] = (seen - at[:, 1]) / np.maximum(at[:, 0], 1e-6) * factor[row, column]
     return albedo
 

@@ -16,10 +16,10 @@ from ..kernels.cpu.jit import helper, kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
-from .depth_map import DepthMap
-from .levelling import Level
+from .mesh_depth import MeshDepth
 from .mesh_texels import MeshTexels
-from .photographs import DecodedPhotograph
+from .photographs import LoadedPhotograph
+from .radiometric_correction import RadiometricCorrection
 from .vertex_shading import ViewShading
 
 KEPT = 5  # candidates of a texel
@@ -65,15 +65,15 @@ class TexelView:
     Attributes:
         photograph: decoded.
         depth: depth map of the mesh, at any resolution.
-        level: its correction.
+        correction: its exposure and low frequencies.
         shading: shading of the mesh's vertices.
         blur: standard deviation of its blur relative to a sharp photograph, >= 1.
         shift: (h, w, 2) float32 displacement of its content against the mesh, in pixels of the working resolution.
     """
 
-    photograph: DecodedPhotograph
-    depth: DepthMap
-    level: Level
+    photograph: LoadedPhotograph
+    depth: MeshDepth
+    correction: RadiometricCorrection
     shading: ViewShading
     blur: float = 1.0
     shift: np.ndarray | None = None
@@ -114,16 +114,16 @@ def _arguments(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple:
         pinhole_numbers(camera),
         pinhole_numbers(depth.camera),
         depth.inverse,
-        view.level.inside,
-        view.level.factor,
-        1 / view.level.gain,
+        view.correction.inside,
+        view.correction.low_frequency,
+        1 / view.correction.gain,
         shading.factor,
         shading.gloss,
         intrinsics,
         coefficients,
         kind,
         shift,
-        *photograph.levels,
+        *photograph.pyramid,
         photograph.linear,
         numbers,
     )

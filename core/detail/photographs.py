@@ -18,17 +18,17 @@ from ..io.srgb import decode_srgb
 from ..scene.camera import Camera
 from ..settings.schema import DataSettings
 
-LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
+PYRAMID_LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
 SAME_PLACE = 1e-4  # difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains
 
 
 @dataclass(frozen=True, eq=False)
-class DecodedPhotograph:
-    """Photograph in memory.
+class LoadedPhotograph:
+    """Full-size photograph in memory.
 
     Attributes:
         lens: lens of the file, with its distortion.
-        levels: (H, W, 3) uint8 or uint16 in the file's own pixels, sRGB-encoded, and the same at a half and a quarter of the size.
+        pyramid: (H, W, 3) uint8 or uint16 in the file's own pixels, sRGB-encoded, and the same at a half and a quarter of the size.
         linear: (256,) or (65536,) float32 linear value of each code.
         camera: pinhole camera of the working resolution.
         reduced: (h, w, 3) float32 linear, undistorted, at the working resolution.
@@ -36,7 +36,7 @@ class DecodedPhotograph:
     """
 
     lens: Lens
-    levels: tuple[np.ndarray, ...]
+    pyramid: tuple[np.ndarray, ...]
     linear: np.ndarray
     camera: Camera
     reduced: np.ndarray
@@ -49,8 +49,8 @@ class DecodedPhotograph:
             camera: camera with the pose of the photograph.
         """
         scale = self.lens.width / camera.width
-        level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.levels) - 1)
-        codes = self.levels[level]
+        level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.pyramid) - 1)
+        codes = self.pyramid[level]
         x, y = np.meshgrid(
             (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx, (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
         )
@@ -62,8 +62,8 @@ class DecodedPhotograph:
 
 
 @dataclass(frozen=True, eq=False)
-class Photograph:
-    """Photograph on the disk.
+class FullSizePhotograph:
+    """Full-size photograph on the disk.
 
     Attributes:
         name: name of its view.
@@ -92,8 +92,8 @@ class Photograph:
         if path is None or image_size(path) != self.lens.size:
             raise InputError(path or self.name, f"is not of {self.lens.width}x{self.lens.height} pixels as before")
 
-    def decode(self) -> DecodedPhotograph:
-        """Read the file.
+    def load(self) -> LoadedPhotograph:
+        """Read and decode the file.
 
         Raises:
             InputError: if it is gone, damaged or of another size than before.
@@ -106,10 +106,10 @@ class Photograph:
             raise InputError(path, f"is {image.size[0]}x{image.size[1]} but was {self.lens.width}x{self.lens.height}")
         view = view_of(self.working, image, self.masks)
         codes, linear = _codes(image.colour)
-        return DecodedPhotograph(self.lens, _pyramid(codes, linear), linear, view.camera, decode_srgb(view.colour), view.alpha)
+        return LoadedPhotograph(self.lens, _pyramid(codes, linear), linear, view.camera, decode_srgb(view.colour), view.alpha)
 
 
-def find_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, Camera]) -> tuple[list[Photograph], str]:
+def find_full_size_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, Camera]) -> tuple[list[FullSizePhotograph], str]:
     """Find the full-size photographs of a run's training views.
 
     Args:
@@ -122,7 +122,7 @@ def find_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, C
     """
     try:
         pairs = zip(full_size_frames(dataset, settings), full_size_frames(dataset, settings, settings.resolution), strict=True)
-        found = [Photograph(full.name, full.lens, working, settings.masks) for full, working in pairs]
+        found = [FullSizePhotograph(full.name, full.lens, working, settings.masks) for full, working in pairs]
     except InputError as error:
         return [], str(error)
     known = [one for one in found if one.name in cameras and _same_camera(one.working.camera, cameras[one.name])]
@@ -170,12 +170,12 @@ def _codes(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _pyramid(codes: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the photograph and its reductions by area averaging in linear light, encoded with the same codes."""
-    levels = [codes]
-    for _ in range(LEVELS - 1):
-        height, width = levels[-1].shape[:2]
+    images = [codes]
+    for _ in range(PYRAMID_LEVELS - 1):
+        height, width = images[-1].shape[:2]
         size = max(1, width // 2), max(1, height // 2)
-        levels.append(_halved(levels[-1], size, linear))
-    return tuple(levels)
+        images.append(_halved(images[-1], size, linear))
+    return tuple(images)
 
 
 def _halved(codes: np.ndarray, size: tuple[int, int], linear: np.ndarray) -> np.ndarray:

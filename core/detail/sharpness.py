@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from .photographs import DecodedPhotograph
+from .photographs import LoadedPhotograph
 
 FURTHER = 2.0  # standard deviation of the further blur, pixels
 SHARP = 0.8  # blur of a sharp photograph, pixels; less does not count as sharper
@@ -14,7 +14,7 @@ STRONG = 0.5  # fraction of the pixels, those with the weakest gradients, that a
 WIDEST = 16.0  # blur, pixels, beyond which nothing is measured
 
 
-def relative_blur(photograph: DecodedPhotograph) -> float:
+def relative_blur(photograph: LoadedPhotograph) -> float:
     """Return the width of a photograph's blur as a multiple of SHARP, >= 1.
 
     An edge with a blur of standard deviation s has gradient energy in proportion to 1 / s, so that a further blur t divides the energy by
@@ -23,7 +23,7 @@ def relative_blur(photograph: DecodedPhotograph) -> float:
     Args:
         photograph: decoded; only the part inside its mask is measured.
     """
-    grey = photograph.linear[photograph.levels[0][..., 1]]
+    grey = photograph.linear[photograph.pyramid[0][..., 1]]
     encoded = np.sqrt(np.clip(grey, 0, None))
     before, after = (_energy(image) for image in (encoded, cv2.GaussianBlur(encoded, (0, 0), FURTHER)))
     if photograph.alpha is not None and not photograph.lens.distorted:

@@ -10,9 +10,9 @@ import numpy as np
 import torch
 
 from ..scene.mesh import Mesh
+from .mesh_tracer import mesh_tracer
 from .primary_hits import PrimaryHits
 from .secondary_query import Hits
-from .triangles import triangles_of
 from .vertex_transfer import VertexTransfer
 
 # Fractions of the scene radius:
@@ -37,13 +37,13 @@ class MeshQuery:
         self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)).to(device), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
-        self._triangles, self._mesh, self.device = triangles_of(mesh, device), mesh, device
+        self._tracer, self._mesh, self.device = mesh_tracer(mesh, device), mesh, device
         self._kept: tuple[torch.Tensor, tuple[torch.Tensor, torch.Tensor, torch.Tensor]] | None = None  # points of a view, what they see
 
     @cached_property
     def transfer(self) -> VertexTransfer:
         """Radiance transfer of the vertices, traced at the first use."""
-        return VertexTransfer(self._mesh, self._triangles, self._radius, self.device)
+        return VertexTransfer(self._mesh, self._tracer, self._radius, self.device)
 
     def origins(self, surface: PrimaryHits) -> torch.Tensor:
         """Return ray origins (P, 3), see `SurfaceQuery`.
@@ -87,7 +87,7 @@ class MeshQuery:
             direction: (R, 3) unit, float32.
             reach: (R,) distances up to which occluders count, float32; None: all occluders.
         """
-        return self._triangles.meet(origin, direction, reach).float()
+        return self._tracer.meet(origin, direction, reach).float()
 
     def _seen(self, surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
         """Find the pixels of a view that see the mesh at or in front of the Gaussians' surface; kept for a next call with the same points.
@@ -123,7 +123,7 @@ class MeshQuery:
         Returns:
             Triangle index, -1 for none, barycentric u and v, and distance, (R,) each.
         """
-        return self._triangles.closest(origin, direction)
+        return self._tracer.closest(origin, direction)
 
     def _hits(
         self, ray: torch.Tensor, triangle: torch.Tensor, barycentric: torch.Tensor, direction: torch.Tensor, met: torch.Tensor

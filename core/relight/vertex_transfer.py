@@ -20,9 +20,9 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
 from ..shading.environment_lookup import direction_to_uv, lookup, texel_directions
 from ..shading.sampling import cosine_directions
+from .mesh_tracer import MeshTracer
 from .prepared_light import PreparedLight
 from .sample_counts import pixel_shifts
-from .triangles import Triangles
 
 RAYS = 32  # per vertex; 96 change relit images by 0.02 dB
 BOUNCES = 3  # between vertices; 6 change relit images by 0.01 dB
@@ -37,7 +37,7 @@ class VertexTransfer:
 
     Args:
         mesh: triangles with albedo at their vertices.
-        triangles: triangles of the mesh, for tracing.
+        tracer: tracer of rays on the mesh.
         radius: scene radius, world units.
         device: device of the rays and of the lights.
 
@@ -45,14 +45,14 @@ class VertexTransfer:
         count: number of vertices, V.
     """
 
-    def __init__(self, mesh: Mesh, triangles: Triangles, radius: float, device: torch.device | str = "cpu") -> None:
+    def __init__(self, mesh: Mesh, tracer: MeshTracer, radius: float, device: torch.device | str = "cpu") -> None:
         self.count = len(mesh.vertices)
         self._vertices, self._tree = mesh.vertices, None
         self._normal = torch.from_numpy(np.ascontiguousarray(mesh.normals, np.float32)).to(device)
         self._albedo = torch.from_numpy(np.ascontiguousarray(mesh.albedo, np.float32)).to(device)
         self._faces = torch.from_numpy(mesh.faces.astype(np.int64)).to(device)
         origin = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device) + CLEARANCE * radius * self._normal
-        parts = [self._traced(origin, triangles, begin) for begin in range(0, max(self.count, 1), PART)]
+        parts = [self._traced(origin, tracer, begin) for begin in range(0, max(self.count, 1), PART)]
         self._texel, self._vertex = (torch.cat(rows).int().contiguous() for rows in zip(*parts, strict=True))
         self._lit: WeakKeyDictionary[PreparedLight, tuple[torch.Tensor, torch.Tensor]] = WeakKeyDictionary()
 
@@ -120,7 +120,7 @@ class VertexTransfer:
             run_ranges(bounce_range, parts, vertex, visible, reflected, arriving)
         return torch.from_numpy(arriving)
 
-    def _traced(self, origin: torch.Tensor, triangles: Triangles, begin: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def _traced(self, origin: torch.Tensor, tracer: MeshTracer, begin: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Trace the rays of PART vertices from number `begin` on.
 
         Returns:
@@ -130,7 +130,7 @@ class VertexTransfer:
         index = torch.arange(begin, min(begin + PART, self.count), device=origin.device)
         direction = cosine_directions(self._normal[index], RAYS, pixel_shifts(index, self.count)).view(-1, 3)
         start = origin[index, None].expand(-1, RAYS, 3).reshape(-1, 3)
-        triangle, u, v, _ = triangles.closest(start, direction)
+        triangle, u, v, _ = tracer.closest(start, direction)
         place_u, place_v = direction_to_uv(direction)
         row, column = ((x * size).long().clamp(0, size - 1) for x, size in ((place_v, ROWS), (place_u, 2 * ROWS)))
         hit = torch.nonzero(triangle >= 0)[:, 0]

@@ -61,7 +61,7 @@ def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.n
     surface = 1 / np.where(nearest > 0, nearest, np.inf)
     shown &= (nearest > 0) & (far - surface <= kernels.SLACK * far / (depth.camera.fx * facing))
     place = camera.project(point)[0] - 0.5
-    inside = np.where(shown, _bilinear(view.level.inside[..., None], place)[:, 0], 0)
+    inside = np.where(shown, _bilinear(view.correction.inside[..., None], place)[:, 0], 0)
     direction = (camera.project(point)[0] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
     if view.shift is not None:
         direction = direction + _bilinear(view.shift, place) / (camera.fx, camera.fy)
@@ -70,11 +70,11 @@ def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.n
     inside = np.where((u >= 0) & (v >= 0) & (u < lens.width) & (v < lens.height), inside, 0)
     size = far / lens.fx
     choice = np.digitize(texels.side[texels.face] / size, (1.5, 3))
-    pairs = [_bicubic(codes, photograph.linear, u, v, lens.size) for codes in photograph.levels]
+    pairs = [_bicubic(codes, photograph.linear, u, v, lens.size) for codes in photograph.pyramid]
     colour = np.stack([p[0] for p in pairs])[choice, np.arange(len(u))]
     most = np.stack([p[1] for p in pairs])[choice, np.arange(len(u))]
     factor, gloss = at(view.shading.factor), at(view.shading.gloss)
-    albedo = (colour / view.level.gain - gloss) / np.maximum(factor, 1e-6) * _bilinear(view.level.factor, place)
+    albedo = (colour / view.correction.gain - gloss) / np.maximum(factor, 1e-6) * _bilinear(view.correction.low_frequency, place)
     weight = inside * (facing / (size * view.blur)) ** 2
     weight = np.where(most >= kernels.CLIPPED * (len(photograph.linear) - 1), kernels.CLIPPED_WEIGHT * weight, weight)
     light, dark = factor.mean(-1), kernels.DARK * np.median(view.shading.factor[(view.shading.factor > 0).all(1)])

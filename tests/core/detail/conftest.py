@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from irgspp.core.detail.photographs import Photograph, find_photographs
+from irgspp.core.detail.photographs import FullSizePhotograph, find_full_size_photographs
 from irgspp.core.io.eight_bits import srgb_eight_bits
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.scene.camera import Camera, look_at
@@ -36,8 +36,8 @@ class Scene:
     reconstruction: Reconstruction
     truth: np.ndarray  # (TEXTURE, TEXTURE, 3) linear
 
-    def photographs(self) -> list[Photograph]:
-        found, missing = find_photographs(self.folder, SETTINGS, self.cameras())
+    def photographs(self) -> list[FullSizePhotograph]:
+        found, missing = find_full_size_photographs(self.folder, SETTINGS, self.cameras())
         assert not missing
         return found
 

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import detailed, detailed_by_dataset
-from irgspp.core.detail.photographs import Photograph
+from irgspp.core.detail.photographs import FullSizePhotograph
 from irgspp.core.errors import Cancelled
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.progress.protocol import Silent
@@ -70,7 +70,7 @@ def test_the_density_is_reported(written, result):
 
 
 def test_photographs_of_the_working_resolution_are_left_alone(written, monkeypatch):
-    monkeypatch.setattr(Photograph, "check", lambda photograph: None)  # the files are larger
+    monkeypatch.setattr(FullSizePhotograph, "check", lambda photograph: None)  # the files are larger
     small = [replace(one, lens=one.working.lens) for one in written.photographs()]
     mesh, report = detailed(written.mesh, written.reconstruction, small, "auto", Silent())
     assert mesh is written.mesh and not report.applied and "not larger" in report.why

@@ -9,9 +9,9 @@ import pytest
 from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.detail.candidates import CODES, Candidates, TexelView, add_candidates
 from irgspp.core.detail.combination import combine
-from irgspp.core.detail.depth_map import depth_map
-from irgspp.core.detail.levelling import Level
+from irgspp.core.detail.mesh_depth import render_mesh_depth
 from irgspp.core.detail.mesh_texels import mesh_texels
+from irgspp.core.detail.radiometric_correction import RadiometricCorrection
 from irgspp.core.detail.vertex_shading import ViewShading
 
 LENSES = {
@@ -23,7 +23,7 @@ LENSES = {
 
 def test_depth_maps_show_the_nearest_triangle(written):
     camera = written.cameras()["r_1"].resized(40, 40)
-    view = depth_map(written.mesh.vertices, written.mesh.faces, camera)
+    view = render_mesh_depth(written.mesh.vertices, written.mesh.faces, camera)
     triangle, inverse = reference.nearest_triangles(written.mesh.vertices, written.mesh.faces, camera)
     assert ((view.triangle >= 0) == (triangle >= 0)).mean() > 0.995
     both = (view.triangle >= 0) & (triangle >= 0)
@@ -33,7 +33,7 @@ def test_depth_maps_show_the_nearest_triangle(written):
 
 def test_values_are_interpolated_with_perspective(written):
     camera = written.cameras()["r_4"]
-    view = depth_map(written.mesh.vertices, written.mesh.faces, camera)
+    view = render_mesh_depth(written.mesh.vertices, written.mesh.faces, camera)
     row, column = np.nonzero(view.triangle >= 0)
     points = view.interpolate(written.mesh.vertices.astype(np.float64), written.mesh.faces, row, column)
     pixel, depth = camera.project(points)
@@ -44,19 +44,19 @@ def test_values_are_interpolated_with_perspective(written):
 @pytest.mark.parametrize("model", LENSES)
 def test_samples_equal_the_definition(written, model):
     random = np.random.default_rng(1)
-    decoded = written.photographs()[3].decode()
+    decoded = written.photographs()[3].load()
     lens = replace(decoded.lens, **LENSES[model])
     assert isinstance(lens, Lens)
     decoded = replace(decoded, lens=lens)
     texels, count = mesh_texels(written.mesh, 200), len(written.mesh.vertices)
     size = decoded.camera.height, decoded.camera.width
-    level = Level(
+    correction = RadiometricCorrection(
         np.array([1.1, 0.9, 1.2]), random.uniform(0.8, 1.2, (*size, 3)).astype(np.float32), random.random(size).astype(np.float32)
     )
     shading = ViewShading(*(random.uniform(low, high, (count, 3)).astype(np.float32) for low, high in ((0.1, 1), (0, 0.05))))
-    depth = depth_map(written.mesh.vertices, written.mesh.faces, decoded.camera.resized(160, 160))
+    depth = render_mesh_depth(written.mesh.vertices, written.mesh.faces, decoded.camera.resized(160, 160))
     shift = random.uniform(-1, 1, (*size, 2)).astype(np.float32)
-    view = TexelView(decoded, depth, level, shading, 1.5, shift)
+    view = TexelView(decoded, depth, correction, shading, 1.5, shift)
     found = Candidates.empty(len(texels.index), 1)
     add_candidates(view, written.mesh, texels, found)
     albedo, weight = reference.texel_samples(view, written.mesh, texels)
@@ -91,15 +91,15 @@ def test_an_outlier_hardly_counts():
 
 
 def test_the_best_candidates_are_kept(written):
-    decoded = written.photographs()[3].decode()
+    decoded = written.photographs()[3].load()
     texels, count = mesh_texels(written.mesh, 64), len(written.mesh.vertices)
     size = decoded.camera.height, decoded.camera.width
     shading = ViewShading(np.ones((count, 3), np.float32), np.zeros((count, 3), np.float32))
-    depth = depth_map(written.mesh.vertices, written.mesh.faces, decoded.camera)
+    depth = render_mesh_depth(written.mesh.vertices, written.mesh.faces, decoded.camera)
     found = Candidates.empty(len(texels.index), 2)
     for factor, blur in ((0.5, 3.0), (0.6, 1.0), (0.7, 2.0)):
-        level = Level(np.ones(3), np.full((*size, 3), factor, np.float32), np.ones(size, np.float32))
-        add_candidates(TexelView(decoded, depth, level, shading, blur), written.mesh, texels, found)
+        correction = RadiometricCorrection(np.ones(3), np.full((*size, 3), factor, np.float32), np.ones(size, np.float32))
+        add_candidates(TexelView(decoded, depth, correction, shading, blur), written.mesh, texels, found)
     seen = np.flatnonzero((found.weight > 0).all(1) & (found.colour[..., 1] > 500).all(1))
     ratio = np.sort(found.colour[seen, :, 1].astype(float), 1)
     assert len(seen) > 200 and np.allclose(ratio[:, 0] / ratio[:, 1], 0.6 / 0.7, rtol=0.02)

@@ -15,7 +15,7 @@ from irgspp.core.kernels.rasterize import rasterize
 from irgspp.core.kernels.trace import blend, build_tree, hit_lists, trace, transmittance
 from irgspp.core.machine.backend import incomplete_images, warp_on_cpu
 from irgspp.core.machine.cuda import cuda_obstacle, probe_cuda
-from irgspp.core.relight.triangles import EmbreeTriangles, triangles_of
+from irgspp.core.relight.mesh_tracer import EmbreeTracer, mesh_tracer
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh import Mesh
 
@@ -121,8 +121,8 @@ def test_mesh_rays_match_embree(device):
     flat = (np.zeros((n, 3), np.float32), np.zeros(n, np.float32), np.zeros(n, np.float32))
     mesh = Mesh(*(np.asarray(a, np.float32) for a in arrays), np.asarray(torus.faces, np.int32), *flat)
     lines = rays(2000, 6)
-    expected = EmbreeTriangles(mesh).closest(*lines)
-    found = [a.cpu() for a in triangles_of(mesh, device).closest(*on(device, lines, False))]
+    expected = EmbreeTracer(mesh).closest(*lines)
+    found = [a.cpu() for a in mesh_tracer(mesh, device).closest(*on(device, lines, False))]
     same = found[0] == expected[0]
     hit = same & (found[0] >= 0)
     assert same.float().mean() > 0.998 and hit.float().mean() > 0.1

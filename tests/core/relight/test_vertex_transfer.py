@@ -5,8 +5,8 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from irgspp.core.relight.mesh_tracer import EmbreeTracer
 from irgspp.core.relight.prepared_light import prepare_light
-from irgspp.core.relight.triangles import EmbreeTriangles
 from irgspp.core.relight.vertex_transfer import VertexTransfer
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.shading.environment_lookup import rotate
@@ -27,7 +27,7 @@ def mesh_of(shape: trimesh.Trimesh, albedo: float, inside: bool = False) -> Mesh
 
 
 def transfer_of(mesh: Mesh) -> VertexTransfer:
-    return VertexTransfer(mesh, EmbreeTriangles(mesh), 1.0)
+    return VertexTransfer(mesh, EmbreeTracer(mesh), 1.0)
 
 
 @pytest.fixture(scope="module")
@@ -84,7 +84,7 @@ def test_the_inside_of_a_thin_wall_sends_no_light():
     """A vertex whose rays start within a closed box is in the dark, however bright the outside is."""
     box = mesh_of(trimesh.creation.box((1, 1, 1)).subdivide().subdivide(), 0.9)
     within = Mesh(**{**vars(box), "normals": -box.normals})
-    light = VertexTransfer(within, EmbreeTriangles(box), 1.0).light(prepare_light(np.ones((16, 32, 3), np.float32)), ONE)
+    light = VertexTransfer(within, EmbreeTracer(box), 1.0).light(prepare_light(np.ones((16, 32, 3), np.float32)), ONE)
     assert float(light[:, :3].max()) < 1e-6
 
 

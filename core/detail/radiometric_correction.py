@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Levelling of a photograph: an exposure gain, and a smooth factor that gives its albedo the low frequencies of the working solution."""
+"""Radiometric correction of a photograph: exposure, and the low frequencies of the working solution for its albedo."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from scipy import ndimage
 
 from ..scene.mesh import Mesh
-from .depth_map import depth_map
-from .photographs import DecodedPhotograph
+from .mesh_depth import render_mesh_depth
+from .photographs import LoadedPhotograph
 from .vertex_shading import ViewShading
 
 WIDTH = 0.05  # standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur
@@ -20,27 +20,27 @@ OPAQUE = 0.9  # alpha from which a pixel belongs to the object
 CLIPPED = 0.97  # linear value from which a pixel may be clipped
 DARKEST = 0.05  # fraction of the median shading below which a pixel's albedo is noise
 STRONGEST = 4.0  # largest factor, and the inverse of the least
-LEAST = 200  # pixels from which a photograph can be levelled
+LEAST = 200  # pixels from which a photograph can be corrected
 EDGE = 2.0  # pixels of the working resolution from a depth or mask edge, within which a photograph and the mesh may not match
 STEP = 0.02  # relative difference of neighbouring depths beyond the slope that counts as an edge
 
 
 @dataclass(frozen=True, eq=False)
-class Level:
+class RadiometricCorrection:
     """Correction of one photograph at the working resolution.
 
     Attributes:
         gain: (3,) linear exposure gain of the photograph relative to the solution.
-        factor: (h, w, 3) float32 smooth factor of its albedo.
+        low_frequency: (h, w, 3) float32 smooth factor of its albedo that gives it the low frequencies of the working solution.
         inside: (h, w) float32 weight in 0..1, 0 at edges of the depth and of the mask.
     """
 
     gain: np.ndarray
-    factor: np.ndarray
+    low_frequency: np.ndarray
     inside: np.ndarray
 
 
-def level(photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, shading: ViewShading) -> Level | None:
+def fit_correction(photograph: LoadedPhotograph, mesh: Mesh, albedo: np.ndarray, shading: ViewShading) -> RadiometricCorrection | None:
     """Fit the correction of a photograph.
 
     Args:
@@ -52,7 +52,7 @@ def level(photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, shading
     Returns:
         The correction, or None where too little of the object is seen.
     """
-    view = depth_map(mesh.vertices, mesh.faces, photograph.camera)
+    view = render_mesh_depth(mesh.vertices, mesh.faces, photograph.camera)
     row, column = np.nonzero(view.triangle >= 0)
     values = np.concatenate([shading.factor, shading.gloss, mesh.uvs], -1)
     at = view.interpolate(values, mesh.faces, row, column)
@@ -69,7 +69,7 @@ def level(photograph: DecodedPhotograph, mesh: Mesh, albedo: np.ndarray, shading
     images = np.zeros((*view.triangle.shape, 7), np.float32)
     chosen = row[usable], column[usable]
     images[chosen] = np.concatenate([solution[usable], observed[usable], np.ones((int(usable.sum()), 1))], -1)
-    return Level(gain, smooth_ratio(images, WIDTH * max(view.triangle.shape)), inside)
+    return RadiometricCorrection(gain, smooth_ratio(images, WIDTH * max(view.triangle.shape)), inside)
 
 
 def smooth_ratio(images: np.ndarray, sigma: float) -> np.ndarray:

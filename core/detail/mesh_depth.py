@@ -13,7 +13,7 @@ from ..scene.camera import Camera
 
 
 @dataclass(frozen=True, eq=False)
-class DepthMap:
+class MeshDepth:
     """Nearest triangle of a mesh at every pixel.
 
     Attributes:
@@ -56,7 +56,7 @@ def _area(a: np.ndarray, b: np.ndarray, c: np.ndarray) -> np.ndarray:
     return (b[:, 0] - a[:, 0]) * (c[:, 1] - a[:, 1]) - (b[:, 1] - a[:, 1]) * (c[:, 0] - a[:, 0])
 
 
-def depth_map(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> DepthMap:
+def render_mesh_depth(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> MeshDepth:
     """Rasterise a mesh; triangles that reach behind the camera are left out.
 
     Args:
@@ -71,7 +71,7 @@ def depth_map(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> DepthM
     ranges = even_ranges(camera.height, thread_count())
     pixel = np.ascontiguousarray(pixel)
     run_ranges(rasterise_depth, ranges, pixel, inverse, np.ascontiguousarray(faces, np.int32), nearest, triangle)
-    return DepthMap(camera, triangle, nearest, inverse, pixel)
+    return MeshDepth(camera, triangle, nearest, inverse, pixel)
 
 
 @kernel

@@ -16,8 +16,8 @@ from ..scene.triangle_tracer import TriangleTracer
 FAR = 1e37  # distance that counts as infinite, as in Embree's wrapper
 
 
-class Triangles(Protocol):
-    """Triangle mesh that rays can be traced on."""
+class MeshTracer(Protocol):
+    """Tracer of rays on a triangle mesh."""
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Find the first triangle that each ray meets.
@@ -42,7 +42,7 @@ class Triangles(Protocol):
         ...
 
 
-def triangles_of(mesh: Mesh, device: torch.device | str) -> Triangles:
+def mesh_tracer(mesh: Mesh, device: torch.device | str) -> MeshTracer:
     """Build the acceleration structure of a mesh.
 
     Args:
@@ -51,14 +51,14 @@ def triangles_of(mesh: Mesh, device: torch.device | str) -> Triangles:
     """
     vertices = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device)
     if not by_warp(vertices):
-        return EmbreeTriangles(mesh)
+        return EmbreeTracer(mesh)
     from ..kernels.warp.mesh import DeviceMesh  # an optional dependency
 
     return DeviceMesh(vertices, torch.from_numpy(mesh.faces).to(device))
 
 
-class EmbreeTriangles:
-    """`Triangles` traced by Embree on the CPU.
+class EmbreeTracer:
+    """`MeshTracer` by Embree on the CPU.
 
     Args:
         mesh: the mesh.
@@ -68,7 +68,7 @@ class EmbreeTriangles:
         self._tracer = TriangleTracer(mesh.vertices[mesh.faces])
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Find the first triangle that each ray meets, see `Triangles`.
+        """Find the first triangle that each ray meets, see `MeshTracer`.
 
         Args:
             origin: (R, 3) world, float32.

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import AlbedoDetail
 from irgspp.core.detail.candidates import CODES, Candidates
-from irgspp.core.detail.depth_map import depth_map
 from irgspp.core.detail.evidence import Evidence
-from irgspp.core.detail.levelling import edge_weight, smooth_ratio
+from irgspp.core.detail.mesh_depth import render_mesh_depth
 from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.photographs import lens_pixels
+from irgspp.core.detail.radiometric_correction import edge_weight, smooth_ratio
 from irgspp.core.detail.sharpness import relative_blur
 from irgspp.core.scene.camera import Camera, look_at
 
@@ -21,12 +21,12 @@ def test_a_gain_and_a_smooth_veil_are_taken_off(written):
     work = AlbedoDetail(written.mesh, written.reconstruction)
     photograph = written.photographs()[2]
     view = work._view(photograph)
-    assert view.level.gain == pytest.approx(np.ones(3), abs=0.06)  # the light is that of the photographs
+    assert view.correction.gain == pytest.approx(np.ones(3), abs=0.06)  # the light is that of the photographs
     brighter = replace(view.photograph, reduced=view.photograph.reduced * [0.5, 0.6, 0.7])
-    from irgspp.core.detail.levelling import level
+    from irgspp.core.detail.radiometric_correction import fit_correction
 
-    other = level(brighter, written.mesh, work._albedo, view.shading)
-    assert other.gain == pytest.approx(view.level.gain * [0.5, 0.6, 0.7], rel=1e-3)
+    other = fit_correction(brighter, written.mesh, work._albedo, view.shading)
+    assert other.gain == pytest.approx(view.correction.gain * [0.5, 0.6, 0.7], rel=1e-3)
 
 
 def test_ratios_are_smooth_and_bounded():
@@ -39,7 +39,7 @@ def test_ratios_are_smooth_and_bounded():
     assert np.isfinite(ratio).all() and ratio.max() <= 4
 
 
-def test_photographs_of_any_size_are_levelled():
+def test_photographs_of_any_size_are_corrected():
     """Sizes that are no multiples of the reduction's step, on which the filter of a wide window works."""
     images = np.ones((83, 131, 7), np.float32)
     images[..., :3] = 0.8
@@ -61,22 +61,22 @@ def test_weights_fall_to_zero_at_steps_of_depth_and_at_masks_but_not_on_slopes()
 
 @pytest.mark.parametrize("sigma", [2.0, 4.0])
 def test_a_photograph_out_of_focus_is_told_from_a_sharp_one(written, sigma):
-    decoded = written.photographs()[1].decode()
-    blurred = cv2.GaussianBlur(decoded.levels[0], (0, 0), sigma)
-    soft = replace(decoded, levels=(blurred, *decoded.levels[1:]))
+    decoded = written.photographs()[1].load()
+    blurred = cv2.GaussianBlur(decoded.pyramid[0], (0, 0), sigma)
+    soft = replace(decoded, pyramid=(blurred, *decoded.pyramid[1:]))
     assert relative_blur(decoded) < 1.6
     assert relative_blur(soft) > 1.4 * relative_blur(decoded)
 
 
 @pytest.mark.parametrize("fisheye", [False, True])
 def test_undistorted_photographs_match_their_pinhole_cameras(written, fisheye):
-    decoded = written.photographs()[0].decode()
+    decoded = written.photographs()[0].load()
     coefficients = (0.08, -0.02, 0.01, 0.0) if fisheye else (-0.12, 0.04, 0.002, -0.001, 0.0)
     lens = replace(decoded.lens, distortion=coefficients, fisheye=fisheye)
     row, column = np.mgrid[:240, :240]
     waves = np.round(127 + 100 * np.sin(0.15 * column) * np.cos(0.11 * row))
     codes = np.repeat(waves[..., None], 3, -1).astype(np.uint8)
-    distorted = replace(decoded, lens=lens, levels=(codes,))
+    distorted = replace(decoded, lens=lens, pyramid=(codes,))
     camera = Camera(100, 100, 140.0, 140.0, 50.0, 50.0, look_at((3, 0, 0)))
     image = distorted.undistorted(camera)[50, 30]
     u, v = lens_pixels(lens, np.array([(30.5 - 50) / 140]), np.array([(50.5 - 50) / 140]))
@@ -103,7 +103,7 @@ def test_evidence_is_fine_detail_that_held_back_photographs_share(written):
 def test_parts_behind_the_camera_are_left_out():
     vertices = np.array([[0, 0, 1], [1, 0, 1], [0, 1, -1]], np.float32)
     camera = Camera(8, 8, 8.0, 8.0, 4.0, 4.0, np.eye(4))
-    assert (depth_map(vertices, np.array([[0, 1, 2]]), camera).triangle == -1).all()
+    assert (render_mesh_depth(vertices, np.array([[0, 1, 2]]), camera).triangle == -1).all()
 
 
 @pytest.mark.parametrize(("strength", "colour", "painted"), [(0.05, 0.0, False), (0.05, 0.5, True), (0.4, 0.0, True)])
@@ -119,4 +119,4 @@ def test_weak_detail_without_colour_may_be_shading(written, strength, colour, pa
     evidence = Evidence(texels)
     evidence.add(held, albedo.astype(np.float32), np.full((count, 3), 0.3, np.float32))
     assert evidence.correlations[0] > 0.9 and evidence.painted is painted and evidence.convincing is painted
-    assert ("shading of relief" in evidence.reason) is not painted
+    assert ("shading of fine relief" in evidence.reason) is not painted
