@@ -7,7 +7,8 @@ import numpy as np
 
 from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from .candidates import CODES, Candidates
+from .candidates import Candidates
+from .texel_sampling import CODES
 
 POWER = 2.0  # of the weights: 1 is a mean over all candidates, large powers take the best alone
 OUTLIER = 0.12  # difference of log albedo from the robust centre at which a candidate counts half

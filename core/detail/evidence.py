@@ -12,8 +12,9 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
-from .candidates import CODES, Candidates
+from .candidates import Candidates
 from .mesh_texels import MeshTexels
+from .texel_sampling import CODES
 
 BETTER = 0.02  # correlation with detail above that without, from which the detail is used
 LEAST = 0.15  # least correlation that is not chance

@@ -3,8 +3,8 @@
 
 import cv2
 import numpy as np
-from irgspp.core.detail import candidates as kernels
-from irgspp.core.detail.candidates import Candidates, TexelView
+from irgspp.core.detail import texel_sampling as kernels
+from irgspp.core.detail.candidates import DARK_FRACTION, Candidates, TexelView
 from irgspp.core.detail.combination import FLOOR, ROUNDS
 from irgspp.core.detail.mesh_texels import MeshTexels
 from irgspp.core.detail.photographs import lens_pixels
@@ -56,10 +56,10 @@ def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.n
     facing = (towards * normal).sum(-1) / np.linalg.norm(towards, axis=-1) / np.linalg.norm(normal, axis=-1)
     pixel, far = depth.camera.project(point)
     column, row = np.floor(pixel).astype(int).T
-    shown = (facing >= kernels.FACING) & depth.camera.in_image(pixel, far)
+    shown = (facing >= kernels.MIN_FACING) & depth.camera.in_image(pixel, far)
     nearest = np.where(shown, depth.inverse[np.where(shown, row, 0), np.where(shown, column, 0)], 0)
     surface = 1 / np.where(nearest > 0, nearest, np.inf)
-    shown &= (nearest > 0) & (far - surface <= kernels.SLACK * far / (depth.camera.fx * facing))
+    shown &= (nearest > 0) & (far - surface <= kernels.DEPTH_SLACK * far / (depth.camera.fx * facing))
     place = camera.project(point)[0] - 0.5
     inside = np.where(shown, _bilinear(view.correction.inside[..., None], place)[:, 0], 0)
     direction = (camera.project(point)[0] - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
@@ -76,9 +76,9 @@ def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.n
     factor, gloss = at(view.shading.factor), at(view.shading.gloss)
     albedo = (colour / view.correction.gain - gloss) / np.maximum(factor, 1e-6) * _bilinear(view.correction.low_frequency, place)
     weight = inside * (facing / (size * view.blur)) ** 2
-    weight = np.where(most >= kernels.CLIPPED * (len(photograph.linear) - 1), kernels.CLIPPED_WEIGHT * weight, weight)
-    light, dark = factor.mean(-1), kernels.DARK * np.median(view.shading.factor[(view.shading.factor > 0).all(1)])
-    return np.clip(albedo, 0, kernels.LARGEST), weight * light**2 / (light**2 + dark**2)
+    weight = np.where(most >= kernels.CLIPPED_FRACTION * (len(photograph.linear) - 1), kernels.CLIPPED_WEIGHT * weight, weight)
+    light, dark = factor.mean(-1), DARK_FRACTION * np.median(view.shading.factor[(view.shading.factor > 0).all(1)])
+    return np.clip(albedo, 0, kernels.MAX_ALBEDO), weight * light**2 / (light**2 + dark**2)
 
 
 def combined(candidates: Candidates, power: float, outlier: float) -> np.ndarray:

@@ -7,11 +7,12 @@ import detail_reference as reference
 import numpy as np
 import pytest
 from irgspp.core.datasets.parsed_dataset import Lens
-from irgspp.core.detail.candidates import CODES, Candidates, TexelView, add_candidates
+from irgspp.core.detail.candidates import Candidates, TexelView, add_candidates
 from irgspp.core.detail.combination import combine
 from irgspp.core.detail.mesh_depth import render_mesh_depth
 from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.radiometric_correction import RadiometricCorrection
+from irgspp.core.detail.texel_sampling import CODES
 from irgspp.core.detail.vertex_shading import ViewShading
 
 LENSES = {

@@ -7,13 +7,14 @@ import cv2
 import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import AlbedoDetail
-from irgspp.core.detail.candidates import CODES, Candidates
+from irgspp.core.detail.candidates import Candidates
 from irgspp.core.detail.evidence import Evidence
 from irgspp.core.detail.mesh_depth import render_mesh_depth
 from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.detail.radiometric_correction import edge_weight, smooth_ratio
 from irgspp.core.detail.sharpness import relative_blur
+from irgspp.core.detail.texel_sampling import CODES
 from irgspp.core.scene.camera import Camera, look_at
 
 
