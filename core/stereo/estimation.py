@@ -17,7 +17,7 @@ from ..scene.dataset import View
 from .consistency import support
 from .depth_map import DepthMap, cv_rotation
 from .matching_image import MatchingImage, matching_image, pack_sources
-from .patch_match import evaluate, sweep
+from .patch_match import Matching, Reference, evaluate, sweep
 from .planes import Bounds, Planes, finer_planes, first_planes
 from .settings import StereoSettings
 from .view_selection import choose_sources, choose_witnesses
@@ -146,19 +146,18 @@ class _Search:
         """Compute the costs of planes, and improve them in `sweeps` sweeps whose random changes start with `step`."""
         penalties = Penalties(np.float32(penalty), np.float32(self.settings.brightness))
         self._evaluate(planes, image, sources, False, penalties)
-        best, sigma = min(self.settings.best, len(sources.pose)), np.float32(1 / self.settings.sigma)
+        reference, matching = Reference(image.grey, image.inside, image.lens), self._matching(sources, penalties)
         for n in range(sweeps):
             seed = np.uint32(rng.integers(1, 1 << 32))
-            sweep(
-                n % 2 == 1, np.float32(step / 2**n), seed, image.grey, image.inside, image.lens, bounds.nearest, bounds.farthest, sources,
-                best, penalties, sigma, planes.depth, planes.normal, planes.cost, planes.chosen,
-            )  # fmt: skip
+            sweep(reference, bounds.nearest, bounds.farthest, matching, planes, n % 2 == 1, np.float32(step / 2**n), seed)
+
+    def _matching(self, sources: Sources, penalties: Penalties) -> Matching:
+        """Return how planes are compared with some sources."""
+        return Matching(sources, min(self.settings.best, len(sources.pose)), penalties, np.float32(1 / self.settings.sigma))
 
     def _evaluate(self, planes: Planes, image: MatchingImage, sources: Sources, only_chosen: bool, penalties: Penalties) -> None:
         """Compute the costs of planes among all sources, or among those chosen so far."""
-        best, sigma = min(self.settings.best, len(sources.pose)), np.float32(1 / self.settings.sigma)
-        layers = planes.depth, planes.normal, planes.cost, planes.chosen
-        evaluate(image.grey, image.inside, image.lens, sources, only_chosen, best, penalties, sigma, *layers)
+        evaluate(Reference(image.grey, image.inside, image.lens), self._matching(sources, penalties), planes, only_chosen)
 
     def depth_maps(self, planes: list[Planes]) -> list[DepthMap]:
         """Return the depth maps of all views with the support of their witnesses."""

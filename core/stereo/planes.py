@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -12,17 +13,16 @@ from ..kernels.constants import WORST_COST
 from ..scene.camera import Camera
 from .matching_image import blocks
 
-NEIGHBOURS = 4  # sparse points in the image near a pixel, one of which gives its first depth
-NEAR_POINTS = 0.75  # fraction of the pixels that start near sparse points
-NEAR_GUESS = 0.5  # fraction of the pixels that start near a guessed depth
-SPREAD = 0.02  # relative standard deviation of depths around points and guesses
+NEAREST_POINTS = 4  # sparse points in the image near a pixel, one of which gives its first depth
+POINT_FRACTION = 0.75  # fraction of the pixels that start near sparse points
+GUESS_FRACTION = 0.5  # fraction of the pixels that start near a guessed depth
+DEPTH_SPREAD = 0.02  # relative standard deviation of depths around points and guesses
 NORMAL_SPREAD = 0.4  # standard deviation of normals around the direction to the camera
-FACING = -0.2  # normal . (x, y, 1) of a usable first normal is lower
+MAX_FIRST_COSINE = -0.2  # normal . (x, y, 1) of a usable first normal is lower
 
 
-@dataclass(eq=False)
-class Planes:
-    """Planes of a view's pixels, in the camera's OpenCV axes.
+class Planes(NamedTuple):
+    """Planes of a view's pixels, in the camera's OpenCV axes; kernels change them in place.
 
     Attributes:
         depth: (H, W) float32 planar depth at the pixel's centre, 0 where nothing is searched.
@@ -100,12 +100,12 @@ def first_planes(camera: Camera, bounds: Bounds, points: np.ndarray | None, rng:
     searched, shape = bounds.searched, bounds.nearest.shape
     depth = _uniform_depths(bounds, rng)
     if points is not None:
-        known = _depths_of_points(camera, searched, points, rng) * rng.normal(1, SPREAD, shape)
-        taken = (rng.random(shape) < NEAR_POINTS) & (bounds.nearest <= known) & (known <= bounds.farthest)
+        known = _depths_of_points(camera, searched, points, rng) * rng.normal(1, DEPTH_SPREAD, shape)
+        taken = (rng.random(shape) < POINT_FRACTION) & (bounds.nearest <= known) & (known <= bounds.farthest)
         depth = np.where(taken, known, depth)
     if bounds.guess is not None:
-        known = np.clip(bounds.guess * rng.normal(1, SPREAD, shape), bounds.nearest, bounds.farthest)
-        depth = np.where((rng.random(shape) < NEAR_GUESS) & (bounds.guess > 0), known, depth)
+        known = np.clip(bounds.guess * rng.normal(1, DEPTH_SPREAD, shape), bounds.nearest, bounds.farthest)
+        depth = np.where((rng.random(shape) < GUESS_FRACTION) & (bounds.guess > 0), known, depth)
     return Planes.unmatched(np.where(searched, depth, 0), _first_normals(camera, rng))
 
 
@@ -142,10 +142,10 @@ def _depths_of_points(camera: Camera, searched: np.ndarray, points: np.ndarray, 
     pixels, z = camera.project(points)
     inside = camera.in_image(pixels, z)
     depth = np.zeros(searched.shape)
-    if inside.sum() >= NEIGHBOURS and searched.any():
+    if inside.sum() >= NEAREST_POINTS and searched.any():
         rows, columns = np.nonzero(searched)
-        near = np.asarray(KDTree(pixels[inside]).query(np.stack([columns, rows], -1) + 0.5, NEIGHBOURS)[1])
-        depth[rows, columns] = z[inside][near[np.arange(len(near)), rng.integers(0, NEIGHBOURS, len(near))]]
+        near = np.asarray(KDTree(pixels[inside]).query(np.stack([columns, rows], -1) + 0.5, NEAREST_POINTS)[1])
+        depth[rows, columns] = z[inside][near[np.arange(len(near)), rng.integers(0, NEAREST_POINTS, len(near))]]
     return depth
 
 
@@ -155,4 +155,4 @@ def _first_normals(camera: Camera, rng: np.random.Generator) -> np.ndarray:
     normal = rng.normal(0, NORMAL_SPREAD, ray.shape) - ray
     normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
     towards = -ray / np.linalg.norm(ray, axis=-1, keepdims=True)
-    return np.where(((normal * ray).sum(-1) < FACING)[..., None], normal, towards)
+    return np.where(((normal * ray).sum(-1) < MAX_FIRST_COSINE)[..., None], normal, towards)

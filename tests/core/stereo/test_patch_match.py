@@ -9,7 +9,7 @@ from irgspp.core.kernels.reference.matching_cost import bilinear, correlation_co
 from irgspp.core.stereo.depth_map import cv_rotation
 from irgspp.core.stereo.estimation import NO_PENALTIES
 from irgspp.core.stereo.matching_image import matching_image, pack_sources
-from irgspp.core.stereo.patch_match import evaluate, sweep
+from irgspp.core.stereo.patch_match import Matching, Reference, evaluate, sweep
 from irgspp.core.stereo.planes import Bounds, Planes, first_planes
 
 SIGMA = 0.08
@@ -32,8 +32,8 @@ def planes(sphere):
 def evaluated(images, planes, sources, best=1, penalty=0.0, depths=None, brightness=0.0):
     image = images[2]
     packed, penalties = pack_sources(image, [images[k] for k in sources], depths), Penalties(np.float32(penalty), np.float32(brightness))
-    layers = planes.depth, planes.normal, planes.cost, planes.chosen
-    evaluate(image.grey, image.inside, image.lens, packed, False, best, penalties, np.float32(1 / SIGMA), *layers)
+    matching = Matching(packed, best, penalties, np.float32(1 / SIGMA))
+    evaluate(Reference(image.grey, image.inside, image.lens), matching, planes, False)
     return planes
 
 
@@ -136,10 +136,9 @@ def test_sweeps_lower_every_cost_and_keep_to_the_bounds(images):
     medians = [np.median(planes.cost[image.inside])]
     for n in range(3):
         before = planes.copy()
-        images_and_bounds = image.grey, image.inside, image.lens, bounds.nearest, bounds.farthest
-        layers = planes.depth, planes.normal, planes.cost, planes.chosen
-        step = np.float32(0.5**n)
-        sweep(n % 2 == 1, step, np.uint32(7 + n), *images_and_bounds, packed, 2, NO_PENALTIES, np.float32(1 / SIGMA), *layers)
+        reference = Reference(image.grey, image.inside, image.lens)
+        matching = Matching(packed, 2, NO_PENALTIES, np.float32(1 / SIGMA))
+        sweep(reference, bounds.nearest, bounds.farthest, matching, planes, n % 2 == 1, np.float32(0.5**n), np.uint32(7 + n))
         assert (planes.cost <= before.cost).all()
         changed = (planes.depth != before.depth) | (planes.normal != before.normal).any(-1)
         assert (planes.cost < before.cost)[changed].all()
