@@ -131,9 +131,10 @@ def _edited_mesh(
 ) -> Mesh:
     """Return an edited mesh with the run's materials; one without UVs is unwrapped."""
     normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
+    surface = Surface(given.vertices, normals, given.faces, voxel)
     if given.uvs is None:
-        return textured_mesh(Surface(given.vertices, normals, given.faces, voxel), views, samples, settings, progress)
-    return mesh_with_materials(given.vertices, normals, given.uvs, given.faces, views, samples, voxel, settings, progress)
+        return textured_mesh(surface, views, samples, settings, progress)
+    return mesh_with_materials(surface, given.uvs, views, samples, settings, progress)
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

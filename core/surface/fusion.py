@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -15,10 +16,62 @@ from ..scene.gbuffer import GBuffer
 from .voxel_grid import BLOCK, Grid
 
 TRUNCATION = 4.0  # voxels
-GRAZING = 0.1  # cosine between normal and ray below which a depth is ignored
-CARVED = 0.1  # weight of empty space that a view looks through near the object; a depth seen frontally has weight 1
+MIN_FACING = 0.1  # cosine between normal and ray below which a depth is ignored
+EMPTY_WEIGHT = 0.1  # weight of empty space that a view looks through near the object; a depth seen frontally has weight 1
 SMOOTHNESS = 0.5  # weight of the neighbours' mean against the depths
 RELAXATIONS = 10  # smoothing passes; gaps without depth are bridged over about as many voxels
+
+
+class VoxelBlocks(NamedTuple):
+    """Active blocks of a voxel grid.
+
+    Attributes:
+        active: (B, 3) int32 block coordinates.
+        origin: (3,) centre of the first voxel, world.
+        voxel: side of a voxel, world units.
+        truncation: distance at which signed distances are cut off, world units.
+    """
+
+    active: np.ndarray
+    origin: np.ndarray
+    voxel: float
+    truncation: float
+
+
+class PlaneLayers(NamedTuple):
+    """Layers of a view that voxels look up.
+
+    Attributes:
+        projection: (3, 4) from the world to pixels and planar depth.
+        depth: (H, W) float32, 0 where there is none.
+        planes: (H, W, 4) float32, unit normal n and w = -n . p of the surface point p at each pixel's centre: n . x + w is x's distance.
+        weight: (H, W) float32, alpha times the cosine between normal and ray.
+        smooth: (H - 1, W - 1) bool, True where the four pixels around a corner show one surface.
+        gap: (H, W) float32, distance in pixels from a pixel without depth to the nearest with depth.
+        pixel: width of a pixel at depth 1.
+    """
+
+    projection: np.ndarray
+    depth: np.ndarray
+    planes: np.ndarray
+    weight: np.ndarray
+    smooth: np.ndarray
+    gap: np.ndarray
+    pixel: float
+
+
+class DistanceSums(NamedTuple):
+    """Sums over views at the voxels of B blocks, each (B, BLOCK^3), changed in place.
+
+    Attributes:
+        distance: float32 sum of weighted signed distances in units of the truncation distance.
+        weight: float32 sum of the weights.
+        free: bool, True where a view looks through the voxel.
+    """
+
+    distance: np.ndarray
+    weight: np.ndarray
+    free: np.ndarray
 
 
 def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray:
@@ -36,16 +89,16 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
         (B, BLOCK^3) float32 distances in units of the truncation distance, from -1 inside to 1 outside.
     """
     shape = (len(grid.active), BLOCK**3)
-    total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.bool_)
+    sums = DistanceSums(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, np.bool_))
+    total, weight, free = sums
     ranges = even_ranges(len(grid.active), 4 * thread_count())
-    truncation = TRUNCATION * grid.voxel
+    blocks = VoxelBlocks(grid.active, grid.origin, grid.voxel, TRUNCATION * grid.voxel)
     for done, view in enumerate(views):
-        layers = view.camera.projection, *plane_layers(view, grid.voxel)
-        run_ranges(integrate, ranges, grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
+        run_ranges(integrate, ranges, blocks, plane_layers(view, grid.voxel), sums)
         progress.step(done + 1)
-    carved = free & (weight < CARVED)
-    total[carved] += CARVED
-    weight[carved] += CARVED
+    carved = free & (weight < EMPTY_WEIGHT)
+    total[carved] += EMPTY_WEIGHT
+    weight[carved] += EMPTY_WEIGHT
     distance = np.where(weight > 0, total / np.maximum(weight, 1e-12), np.float32(-1))
     table = grid.table()
     for _ in range(RELAXATIONS):
@@ -55,20 +108,12 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
     return distance
 
 
-def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:
+def plane_layers(view: GBuffer, voxel: float) -> PlaneLayers:
     """Prepare the layers of a view that voxels look up.
 
     Args:
         view: G-buffer.
         voxel: side of a voxel, world units.
-
-    Returns:
-        depth: (H, W) float32, 0 where there is none.
-        planes: (H, W, 4) float32, unit normal n and w = -n . p of the surface point p at each pixel's centre: n . x + w is x's distance.
-        weight: (H, W) float32, alpha times the cosine between normal and ray.
-        smooth: (H - 1, W - 1) bool, True where the four pixels around a corner show one surface.
-        gap: (H, W) float32, distance in pixels from a pixel without depth to the nearest with depth.
-        pixel: width of a pixel at depth 1.
     """
     rays = view.camera.rays()
     seen = (view.alpha > 0.5) & np.isfinite(view.depth) & (view.depth > 0)
@@ -76,11 +121,11 @@ def plane_layers(view: GBuffer, voxel: float) -> tuple[np.ndarray | float, ...]:
     points = view.camera.centre + depth[..., None].astype(np.float64) * rays
     planes = np.concatenate([view.normal, -(view.normal * points).sum(-1, keepdims=True)], -1)
     cosine = -(view.normal * rays).sum(-1) / np.linalg.norm(rays, axis=-1)
-    weight = np.where(seen & (cosine > GRAZING), view.alpha * cosine, 0)
+    weight = np.where(seen & (cosine > MIN_FACING), view.alpha * cosine, 0)
     gap = np.asarray(ndimage.distance_transform_edt(~seen), np.float32) if seen.any() else np.full(depth.shape, np.inf, np.float32)
     pixel = min(1 / view.camera.fx, 1 / view.camera.fy)
     smooth = _smooth_corners(planes, points, weight, voxel)
-    return depth, planes.astype(np.float32), weight.astype(np.float32), smooth, gap, pixel
+    return PlaneLayers(view.camera.projection, depth, planes.astype(np.float32), weight.astype(np.float32), smooth, gap, pixel)
 
 
 def _smooth_corners(planes: np.ndarray, points: np.ndarray, weight: np.ndarray, voxel: float) -> np.ndarray:
@@ -93,9 +138,26 @@ def _smooth_corners(planes: np.ndarray, points: np.ndarray, weight: np.ndarray, 
     return smooth
 
 
+@helper
+def _to_plane(plane, x, y, z):
+    """Return the signed distance of a point to a plane (4,), positive in front."""
+    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
+
+
+@helper
+def _between_planes(planes, row, column, s, t, x, y, z):
+    """Return the distance of a point to the planes of four pixels from (row, column) on, bilinearly at (s, t) between them."""
+    upper = (1 - s) * _to_plane(planes[row, column], x, y, z) + s * _to_plane(planes[row, column + 1], x, y, z)
+    lower = (1 - s) * _to_plane(planes[row + 1, column], x, y, z) + s * _to_plane(planes[row + 1, column + 1], x, y, z)
+    return (1 - t) * upper + t * lower
+
+
 @kernel
-def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, planes, weight, smooth, gap, pixel, total, sum_weight, free):
-    """Add one view to the blocks begin..end: weighted distances to the pixels' planes `total`, `sum_weight` and `free`, (B, BLOCK^3)."""
+def integrate(begin, end, blocks, layers, sums):
+    """Add the `PlaneLayers` of one view to the `DistanceSums` of the `VoxelBlocks` begin..end."""
+    active, origin, voxel, truncation = blocks
+    matrix, depth, planes, weight, smooth, gap, pixel = layers
+    total, sum_weight, free = sums
     height, width = depth.shape
     for b in range(begin, end):
         for i in range(BLOCK * BLOCK * BLOCK):
@@ -121,22 +183,13 @@ def integrate(begin, end, active, origin, voxel, truncation, matrix, depth, plan
             distance = _to_plane(planes[row, column], x, y, z)
             c, r = int(u - 0.5), int(v - 0.5)
             if u > 0.5 and v > 0.5 and c + 1 < width and r + 1 < height and smooth[r, c]:
-                s, t = u - 0.5 - c, v - 0.5 - r
-                upper = (1 - s) * _to_plane(planes[r, c], x, y, z) + s * _to_plane(planes[r, c + 1], x, y, z)
-                lower = (1 - s) * _to_plane(planes[r + 1, c], x, y, z) + s * _to_plane(planes[r + 1, c + 1], x, y, z)
-                distance = (1 - t) * upper + t * lower
+                distance = _between_planes(planes, r, c, u - 0.5 - c, v - 0.5 - r, x, y, z)
             if distance < -truncation:
                 continue
             # The weight fades out behind the surface: other views see the far side of a thin part.
             w *= min(1.0, 1.0 + distance / truncation)
             total[b, i] += w * min(1.0, distance / truncation)
             sum_weight[b, i] += w
-
-
-@helper
-def _to_plane(plane, x, y, z):
-    """Return the signed distance of a point to a plane (4,), positive in front."""
-    return plane[0] * x + plane[1] * y + plane[2] * z + plane[3]
 
 
 @kernel

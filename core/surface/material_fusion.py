@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -13,8 +14,8 @@ from ..kernels.cpu.jit import kernel
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 
-FACING = 0.2  # least cosine between normal and view direction of a view that counts
-NEAREST = 8  # Gaussians that are averaged where no view sees a point
+MIN_FACING = 0.2  # least cosine between normal and view direction of a view that counts
+NEAREST_GAUSSIANS = 8  # Gaussians that are averaged where no view sees a point
 CHANNELS = 8  # normal xyz, albedo rgb, roughness, metallic; the confidence of the last three follows where it is known
 
 
@@ -43,6 +44,31 @@ class FusedMaterials:
         """Confidence (P,) of the points: 0 where no view sees them, 0.5 for one view straight at them, towards 1 with their number."""
         return self.weight / (1 + self.weight)
 
+    def at(self, index: np.ndarray) -> FusedMaterials:
+        """Return the materials of the points with the given indices."""
+        values = {name: None if value is None else value[index] for name, value in vars(self).items()}
+        return replace(self, **values)
+
+
+class ViewLayers(NamedTuple):
+    """Layers of a view that points look up.
+
+    Attributes:
+        centre: (3,) of the camera, world.
+        projection: (3, 4) from the world to pixels and planar depth.
+        pixel: width of a pixel at depth 1.
+        depth: (H, W) float32 planar depth.
+        alpha: (H, W) float32, 0 where there is no depth.
+        channels: (H, W, CHANNELS or more) float32 normal, materials and, where it is known, confidence.
+    """
+
+    centre: np.ndarray
+    projection: np.ndarray
+    pixel: float
+    depth: np.ndarray
+    alpha: np.ndarray
+    channels: np.ndarray
+
 
 def fuse_materials(
     points: np.ndarray,
@@ -67,25 +93,7 @@ def fuse_materials(
     total, weight = np.zeros((len(points), CHANNELS + 3 * known), np.float32), np.zeros(len(points), np.float32)
     ranges = even_ranges(len(points), 4 * thread_count())
     for done, view in enumerate(views):
-        pixel = max(1 / view.camera.fx, 1 / view.camera.fy)
-        layers = _layers(view)
-        alpha = np.where(np.isfinite(view.depth) & (view.depth > 0), view.alpha, 0).astype(np.float32)
-        depth = np.ascontiguousarray(view.depth, np.float32)
-        run_ranges(
-            add_view,
-            ranges,
-            points,
-            normals,
-            view.camera.centre,
-            view.camera.projection,
-            voxel,
-            pixel,
-            depth,
-            alpha,
-            layers,
-            total,
-            weight,
-        )
+        run_ranges(add_view, ranges, points, normals, voxel, _layers(view), total, weight)
         step(done + 1)
     unseen = weight <= 1e-6
     values = total / np.where(unseen, 1, weight)[:, None]
@@ -96,11 +104,18 @@ def fuse_materials(
     return FusedMaterials(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight), confidence)
 
 
-def _layers(view: GBuffer) -> np.ndarray:
-    """Return normal, materials and, where it is known, confidence of a view, (H, W, CHANNELS or more) float32."""
+def _layers(view: GBuffer) -> ViewLayers:
+    """Return the layers of a view that points look up."""
     parts = [view.normal, view.albedo, view.roughness[..., None], view.metallic[..., None]]
     parts += [] if view.confidence is None else [view.confidence]
-    return np.ascontiguousarray(np.concatenate(parts, -1), np.float32)
+    return ViewLayers(
+        centre=view.camera.centre,
+        projection=view.camera.projection,
+        pixel=max(1 / view.camera.fx, 1 / view.camera.fy),
+        depth=np.ascontiguousarray(view.depth, np.float32),
+        alpha=np.where(np.isfinite(view.depth) & (view.depth > 0), view.alpha, 0).astype(np.float32),
+        channels=np.ascontiguousarray(np.concatenate(parts, -1), np.float32),
+    )
 
 
 def _oriented(fused: np.ndarray, normals: np.ndarray) -> np.ndarray:
@@ -112,7 +127,7 @@ def _oriented(fused: np.ndarray, normals: np.ndarray) -> np.ndarray:
 
 def _nearest_samples(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
     """Average the nearest samples of points (P, 3), weighted by opacity, with normals flipped to one side: (P, CHANNELS)."""
-    _, index = KDTree(samples.position).query(points, k=min(NEAREST, len(samples.position)), workers=-1)
+    _, index = KDTree(samples.position).query(points, k=min(NEAREST_GAUSSIANS, len(samples.position)), workers=-1)
     index = index.reshape(len(points), -1)
     weight = (samples.opacity[index] + 1e-6)[..., None]
     normal = samples.normal[index]
@@ -123,8 +138,9 @@ def _nearest_samples(points: np.ndarray, samples: SurfaceSamples) -> np.ndarray:
 
 
 @kernel
-def add_view(begin, end, points, normals, centre, matrix, voxel, pixel, depth, alpha, layers, total, weight):
+def add_view(begin, end, points, normals, voxel, view, total, weight):
     """Add one view to the points begin..end: bilinear sums `total` (P, C) of pixels that show the point's surface, `weight` (P,)."""
+    centre, matrix, pixel, depth, alpha, layers = view
     height, width = depth.shape
     for p in range(begin, end):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
@@ -137,7 +153,7 @@ def add_view(begin, end, points, normals, centre, matrix, voxel, pixel, depth, a
             continue
         dx, dy, dz = centre[0] - x, centre[1] - y, centre[2] - z
         facing = (dx * normals[p, 0] + dy * normals[p, 1] + dz * normals[p, 2]) / np.sqrt(dx * dx + dy * dy + dz * dz)
-        if facing < FACING:
+        if facing < MIN_FACING:
             continue
         tolerance = 2 * max(voxel, pixel * far)
         column, row = int(np.floor(u)), int(np.floor(v))

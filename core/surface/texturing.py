@@ -16,7 +16,7 @@ from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
 from .bake import add_normal_detail, rasterise, tangent_space, tangents
-from .material_fusion import fuse_materials
+from .material_fusion import FusedMaterials, fuse_materials
 from .meshing import Triangles
 from .repair import facing_normals
 from .unwrap import unwrap
@@ -56,17 +56,7 @@ def textured_mesh(
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
     normals = add_normal_detail(surface.normals, fused.normal, fused.weight > 0, settings.detail)
     normals = facing_normals(Triangles(surface.vertices, surface.faces), normals)
-    mesh = Mesh(
-        vertices=surface.vertices[source].astype(np.float32),
-        normals=normals[source].astype(np.float32),
-        uvs=uvs,
-        faces=faces,
-        albedo=fused.albedo[source],
-        roughness=fused.roughness[source],
-        metallic=fused.metallic[source],
-        confidence=fused.confidence[source],
-        material_confidence=None if fused.material_confidence is None else fused.material_confidence[source],
-    )
+    mesh = _mesh_of(surface.vertices[source], normals[source], uvs, faces, fused.at(source))
     mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
     return mesh
 
@@ -88,26 +78,20 @@ def stoppable(progress: Progress, before: int = 0) -> Callable[[int], None]:
 
 
 def mesh_with_materials(
-    vertices: np.ndarray,
-    normals: np.ndarray,
+    surface: Surface,
     uvs: np.ndarray,
-    faces: np.ndarray,
     views: Sequence[GBuffer],
     samples: SurfaceSamples,
-    voxel: float,
     settings: SurfaceSettings,
     progress: Progress,
 ) -> Mesh:
     """Give an existing mesh materials at its vertices and in textures; geometry and UVs do not change.
 
     Args:
-        vertices: (V, 3) world.
-        normals: (V, 3) unit.
+        surface: the mesh, with the resolution of the extracted surface, which sets how far from it the mesh may lie and still be seen.
         uvs: (V, 2) in 0..1.
-        faces: (F, 3).
         views: G-buffers of the reconstruction at the training cameras.
         samples: its Gaussians, for parts that no view sees.
-        voxel: resolution of the extracted surface, world units; sets how far from it the mesh may lie and still be seen.
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
 
@@ -115,20 +99,25 @@ def mesh_with_materials(
         Cancelled: the user stopped the work.
     """
     progress.phase("bake", 2 * len(views))
-    fused = fuse_materials(vertices, normals, views, samples, voxel, stoppable(progress))
-    mesh = Mesh(
+    fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
+    mesh = _mesh_of(surface.vertices, surface.normals, uvs, surface.faces.astype(np.int32), fused)
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
+    return mesh
+
+
+def _mesh_of(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray, materials: FusedMaterials) -> Mesh:
+    """Return a mesh with materials at its V vertices, without textures."""
+    return Mesh(
         vertices=vertices.astype(np.float32),
         normals=normals.astype(np.float32),
         uvs=uvs,
-        faces=faces.astype(np.int32),
-        albedo=fused.albedo,
-        roughness=fused.roughness,
-        metallic=fused.metallic,
-        confidence=fused.confidence,
-        material_confidence=fused.material_confidence,
+        faces=faces,
+        albedo=materials.albedo,
+        roughness=materials.roughness,
+        metallic=materials.metallic,
+        confidence=materials.confidence,
+        material_confidence=materials.material_confidence,
     )
-    mesh.textures.update(baked_textures(mesh, views, samples, voxel, settings, stoppable(progress, len(views))))
-    return mesh
 
 
 def baked_textures(

@@ -36,13 +36,13 @@ def integrate_plainly(view, point, voxel, truncation):
         return sure, sure, True
     behind = far - view.depth[row, column]
     free = behind < -truncation
-    if cosine[row, column] <= fusion.GRAZING or behind > 1.5 * truncation:
+    if cosine[row, column] <= fusion.MIN_FACING or behind > 1.5 * truncation:
         return 0.0, 0.0, free
     distance = distances[row, column]
     r, c = int(np.floor(v - 0.5)), int(np.floor(u - 0.5))
     if 0 <= r < camera.height - 1 and 0 <= c < camera.width - 1:
         four = np.array([[r, c], [r, c + 1], [r + 1, c], [r + 1, c + 1]])
-        good = all(view.alpha[i, j] > 0.5 and cosine[i, j] > fusion.GRAZING for i, j in four)
+        good = all(view.alpha[i, j] > 0.5 and cosine[i, j] > fusion.MIN_FACING for i, j in four)
         for k in range(4):
             (i, j), (m, n) = four[k], four[3 - k]
             good = good and abs(view.normal[i, j] @ (surface[m, n] - surface[i, j])) < voxel
@@ -60,10 +60,11 @@ def test_integrate_equals_plain_loops(solids, camera_ring, bound):
     views = [solid.view(camera, 0.02, i) for i, camera in enumerate(camera_ring(3, size=24))]
     grid = make_grid(views, solid.samples(500), bound, SurfaceSettings(voxels=24))
     shape, truncation = (len(grid.active), BLOCK**3), fusion.TRUNCATION * grid.voxel
-    total, weight, free = np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool)
+    sums = fusion.DistanceSums(np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.zeros(shape, bool))
+    total, weight, free = sums
+    blocks = fusion.VoxelBlocks(grid.active, grid.origin, grid.voxel, truncation)
     for view in views:
-        layers = view.camera.projection, *fusion.plane_layers(view, grid.voxel)
-        fusion.integrate(0, len(grid.active), grid.active, grid.origin, grid.voxel, truncation, *layers, total, weight, free)
+        fusion.integrate(0, len(grid.active), blocks, fusion.plane_layers(view, grid.voxel), sums)
     points = centres(grid)
     for b, i in zip(rng.integers(0, shape[0], 600), rng.integers(0, shape[1], 600), strict=True):
         expected = [integrate_plainly(view, points[b, i], grid.voxel, truncation) for view in views]
