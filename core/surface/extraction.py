@@ -51,7 +51,7 @@ def extract_geometry(
         offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
         surface = Surface(surface.vertices + offset[:, None] * surface.normals, surface.normals, surface.faces, surface.voxel)
         progress.message(f"surface moved outward by {offset.mean():.2g} scene units on average to fill the masks")
-    surface = _unfolded(surface)
+    surface = _unfold(surface)
     progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
     if progress.cancelled:
         raise Cancelled("stopped during surface extraction")
@@ -80,19 +80,19 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
     longest = HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
-    fine = repair.filled(fine, longest)
+    fine = repair.fill_holes(fine, longest)
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = repair.manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED * settings.triangles))))
-    mesh = repair.filled(repair.without_folds(mesh), longest)  # where three sheets meet, a division leaves a hole
+    mesh = repair.make_manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED * settings.triangles))))
+    mesh = repair.fill_holes(repair.remove_folds(mesh), longest)  # where three sheets meet, a division leaves a hole
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
     return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)
 
 
-def _unfolded(surface: Surface) -> Surface:
+def _unfold(surface: Surface) -> Surface:
     """Return the surface without folded faces, and with normals that face them."""
     moved = meshing.Triangles(surface.vertices, surface.faces)
-    mesh = repair.without_folds(moved)
+    mesh = repair.remove_folds(moved)
     normals = surface.normals
     if len(mesh.vertices) != len(moved.vertices):  # an edge was collapsed
         normals = meshing.carried_normals(moved, normals, mesh)

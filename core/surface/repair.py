@@ -9,16 +9,16 @@ from scipy import sparse
 from . import topology
 from .meshing import Triangles, cleaned, unit, vertex_normals
 
-PULL = 0.05  # of the way to its neighbours' mean by which a vertex that is divided moves, so that its copies are apart
-ROUNDS = 8  # repetitions at most: a division can leave another one to do
-UNFOLDING = 10  # smoothing steps at most of the vertices of folded faces
-AVERAGES = 1  # of the normals with their neighbours': the normal of a vertex that is folded over an edge vanishes by itself
-CHANGED = 2 + AVERAGES  # rings of faces around folded ones whose vertices' normals change as the folded ones' vertices move
-REACH = CHANGED + 1 + AVERAGES  # rings of faces that these normals depend on
-STEP = 0.5  # of the way to the neighbours' mean, in one of these steps
+PULL_FRACTION = 0.05  # of the way to its neighbours' mean by which a vertex that is divided moves, so that its copies are apart
+MAX_ROUNDS = 8  # a division can leave another one to do
+MAX_UNFOLDING_STEPS = 10  # smoothing steps of the vertices of folded faces
+STEP_FRACTION = 0.5  # of the way to the neighbours' mean, in one of these steps
+NORMAL_AVERAGES = 1  # times that normals are averaged with their neighbours': the normal of a vertex folded over an edge is nearly zero
+AFFECTED_RINGS = 2 + NORMAL_AVERAGES  # rings of faces around folded faces that may fold or unfold when the vertices of these move
+SUPPORT_RINGS = AFFECTED_RINGS + 1 + NORMAL_AVERAGES  # rings of faces that have to be known to compute the normals of the affected faces
 
 
-def filled(mesh: Triangles, longest: float) -> Triangles:
+def fill_holes(mesh: Triangles, longest: float) -> Triangles:
     """Fill holes, each by a fan of triangles around its centre.
 
     Args:
@@ -50,7 +50,7 @@ def _each_vertex_once(vertex: np.ndarray, loop: np.ndarray, count: int) -> np.nd
     return np.bincount(loop, repeated, count) == 0
 
 
-def manifold(mesh: Triangles) -> Triangles:
+def make_manifold(mesh: Triangles) -> Triangles:
     """Divide the vertices where sheets of the surface touch, and move the copies apart by a fraction of an edge.
 
     At an edge of 2 n faces the faces are paired so that each pair bounds one wedge of the solid.
@@ -58,7 +58,7 @@ def manifold(mesh: Triangles) -> Triangles:
     Args:
         mesh: without repeated faces. Edges of an odd number of faces get an open border.
     """
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         edges = topology.edges_of(mesh.faces)
         pairs = _paired_sides(mesh, edges)
         divided = _divided(mesh, topology.joined_corners(mesh.faces, pairs))
@@ -127,7 +127,7 @@ def _divided(mesh: Triangles, label: np.ndarray) -> Triangles:
     several = (np.bincount(source, minlength=len(mesh.vertices)) > 1)[source]
     vertices = mesh.vertices[source]
     mean = neighbour_mean(Triangles(vertices, faces))
-    vertices[several] += PULL * (mean - vertices)[several]
+    vertices[several] += PULL_FRACTION * (mean - vertices)[several]
     return Triangles(vertices, faces)
 
 
@@ -138,26 +138,26 @@ def neighbour_mean(mesh: Triangles) -> np.ndarray:
     return (matrix @ mesh.vertices) / np.maximum(np.asarray(matrix.sum(1)), 1)
 
 
-def unfolded(mesh: Triangles) -> Triangles:
+def unfold(mesh: Triangles) -> Triangles:
     """Move the vertices of faces that are turned away from the surface around them along it until none is; other vertices stay."""
-    turned = folded_faces(mesh, vertex_normals(mesh, AVERAGES))
-    for _ in range(UNFOLDING):
+    turned = folded_faces(mesh, vertex_normals(mesh, NORMAL_AVERAGES))
+    for _ in range(MAX_UNFOLDING_STEPS):
         if not turned.any():
             break
         # What a vertex's move changes is near it: only the faces around are looked at again.
-        chosen = np.nonzero(near_faces(mesh, turned, REACH))[0]
+        chosen = np.nonzero(near_faces(mesh, turned, SUPPORT_RINGS))[0]
         corner, faces = np.unique(mesh.faces[chosen], return_inverse=True)
         part = Triangles(mesh.vertices[corner], faces.reshape(-1, 3))
         moving = np.unique(part.faces[turned[chosen]])
-        normals = vertex_normals(part, AVERAGES)[moving]
-        step = STEP * (neighbour_mean(part) - part.vertices)[moving]
+        normals = vertex_normals(part, NORMAL_AVERAGES)[moving]
+        step = STEP_FRACTION * (neighbour_mean(part) - part.vertices)[moving]
         part.vertices[moving] += step - (step * normals).sum(-1, keepdims=True) * normals
         vertices = mesh.vertices.copy()
         vertices[corner] = part.vertices
         mesh = Triangles(vertices, mesh.faces)
-        again = near_faces(mesh, turned, CHANGED)
+        again = near_faces(mesh, turned, AFFECTED_RINGS)
         now = turned.copy()
-        now[chosen] = folded_faces(part, vertex_normals(part, AVERAGES))
+        now[chosen] = folded_faces(part, vertex_normals(part, NORMAL_AVERAGES))
         turned = np.where(again, now, turned)
     return mesh
 
@@ -171,14 +171,14 @@ def near_faces(mesh: Triangles, faces: np.ndarray, rings: int) -> np.ndarray:
     return faces
 
 
-def without_folds(mesh: Triangles) -> Triangles:
+def remove_folds(mesh: Triangles) -> Triangles:
     """Unfold a mesh, and collapse the shortest edge of faces that stay folded."""
-    for _ in range(ROUNDS):
-        mesh = unfolded(mesh)
-        turned = folded_faces(mesh, vertex_normals(mesh, AVERAGES))
+    for _ in range(MAX_ROUNDS):
+        mesh = unfold(mesh)
+        turned = folded_faces(mesh, vertex_normals(mesh, NORMAL_AVERAGES))
         if not turned.any():
             break
-        mesh = manifold(cleaned(_collapsed(mesh, turned)))
+        mesh = make_manifold(cleaned(_collapsed(mesh, turned)))
     return mesh
 
 
@@ -207,7 +207,7 @@ def facing_normals(mesh: Triangles, normals: np.ndarray) -> np.ndarray:
         (V, 3) unit normals.
     """
     own, normals = vertex_normals(mesh), normals.copy()
-    for _ in range(ROUNDS):
+    for _ in range(MAX_ROUNDS):
         wrong = np.unique(mesh.faces[folded_faces(mesh, normals)])
         if not len(wrong) or np.array_equal(normals[wrong], own[wrong]):
             break

@@ -58,13 +58,13 @@ def test_a_rough_offset_to_the_silhouettes_leaves_no_folded_face(solids, camera_
     monkeypatch.setattr(
         extraction, "silhouette_offset", lambda vertices, *_: np.where(vertices[:, 0] > 0.8, 0.1, 0) * noise.normal(size=len(vertices))
     )
-    monkeypatch.setattr(repair, "UNFOLDING", 0)
+    monkeypatch.setattr(repair, "MAX_UNFOLDING_STEPS", 0)
     solid = solids["sphere"]
     views = [solid.view(camera) for camera in camera_ring(12)]
     surface = extract_geometry(views, solid.samples(), bound, SETTINGS, Silent(), [view.alpha for view in views])
     mesh = meshing.Triangles(surface.vertices, surface.faces)
     assert repair.folded_faces(mesh, surface.normals).sum() == 0
-    assert repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.AVERAGES)).sum() == 0
+    assert repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.NORMAL_AVERAGES)).sum() == 0
     assert body_of(surface).is_watertight and len(surface.normals) == len(surface.vertices)
 
 

@@ -45,19 +45,19 @@ def test_small_holes_are_filled_and_ends_stay_open():
     ball = sphere()
     centre = ball.vertices[ball.faces].mean(1)
     pierced = Triangles(ball.vertices, ball.faces[np.linalg.norm(centre - [0, 0, 1], axis=-1) > 0.3])
-    whole = repair.filled(pierced, 3.0)
+    whole = repair.fill_holes(pierced, 3.0)
     assert counts(pierced)[2] > 8 and counts(whole) == (0, 0, 0)
     assert body(whole).is_winding_consistent and abs(body(whole).volume / body(ball).volume - 1) < 0.02
     half = Triangles(ball.vertices, ball.faces[centre[:, 2] > 0])
-    assert repair.filled(half, 3.0).faces.shape == half.faces.shape
-    assert repair.filled(ball, 3.0) is ball
+    assert repair.fill_holes(half, 3.0).faces.shape == half.faces.shape
+    assert repair.fill_holes(ball, 3.0) is ball
 
 
 def test_two_holes_get_two_lids():
     ball = sphere()
     centre = ball.vertices[ball.faces].mean(1)
     pierced = Triangles(ball.vertices, ball.faces[np.abs(centre[:, 2]) < 0.95])
-    whole = repair.filled(pierced, 3.0)
+    whole = repair.fill_holes(pierced, 3.0)
     assert len(whole.vertices) == len(ball.vertices) + 2 and body(whole).is_watertight
 
 
@@ -65,24 +65,24 @@ def test_two_holes_get_two_lids():
 def test_solids_that_touch_at_edges_or_points_are_parted(corners):
     touching = blocks(*corners)
     assert sum(counts(touching)[:2]) > 0
-    parted = repair.manifold(touching)
+    parted = repair.make_manifold(touching)
     assert counts(parted) == (0, 0, 0) and len(np.unique(parted.vertices, axis=0)) == len(parted.vertices)
     assert body(parted).is_watertight and body(parted).is_winding_consistent
     assert abs(body(parted).volume / len(corners) - 1) < 0.05
-    assert repair.manifold(parted) is parted
+    assert repair.make_manifold(parted) is parted
 
 
 def test_sheets_that_hang_together_at_both_ends_are_parted_in_the_middle():
     middle = {(0, 1, 1), (1, 0, 1)}  # cells left out: one edge of four faces, whose ends lie inside the solid's surface
     solid = blocks(*(cell for cell in np.ndindex(2, 2, 3) if cell not in middle))
     assert counts(solid)[0] == 1
-    parted = repair.manifold(solid)
+    parted = repair.make_manifold(solid)
     assert counts(parted) == (0, 0, 0) and body(parted).is_winding_consistent
     assert abs(body(parted).volume / 10 - 1) < 0.02
 
 
 def folds(mesh: Triangles) -> int:
-    return int(repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.AVERAGES)).sum())
+    return int(repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.NORMAL_AVERAGES)).sum())
 
 
 def test_folded_face_is_unfolded_and_the_rest_stays():
@@ -92,11 +92,11 @@ def test_folded_face_is_unfolded_and_the_rest_stays():
     vertices, p = np.concatenate([ball.vertices, tip[None]]), len(ball.vertices)
     folded = Triangles(vertices, np.concatenate([np.delete(ball.faces, 100, 0), [[a, b, p], [b, c, p], [c, a, p]]]))
     assert folds(folded) == 1
-    smooth = repair.unfolded(folded)
+    smooth = repair.unfold(folded)
     assert folds(smooth) == 0
     moved = np.linalg.norm(smooth.vertices - vertices, axis=-1) > 0
     assert 1 <= moved.sum() <= 4 and np.abs(np.linalg.norm(smooth.vertices, axis=-1) - 1).max() < 0.1
-    assert repair.unfolded(ball) is ball
+    assert repair.unfold(ball) is ball
 
 
 def test_unfolding_near_the_folds_is_unfolding_of_the_whole_mesh(monkeypatch):
@@ -104,20 +104,20 @@ def test_unfolding_near_the_folds_is_unfolding_of_the_whole_mesh(monkeypatch):
     noise = np.random.default_rng(0).normal(size=ball.vertices.shape)
     noisy = Triangles(np.asarray(ball.vertices) + np.where(ball.vertices[:, :1] > 0.8, 0.04, 0) * noise, np.asarray(ball.faces))
     assert folds(noisy) > 5
-    near = repair.unfolded(noisy)
-    monkeypatch.setattr(repair, "CHANGED", 200)
-    monkeypatch.setattr(repair, "REACH", 200)
-    np.testing.assert_array_equal(near.vertices, repair.unfolded(noisy).vertices)
+    near = repair.unfold(noisy)
+    monkeypatch.setattr(repair, "AFFECTED_RINGS", 200)
+    monkeypatch.setattr(repair, "SUPPORT_RINGS", 200)
+    np.testing.assert_array_equal(near.vertices, repair.unfold(noisy).vertices)
 
 
 def test_fold_that_stays_is_collapsed(monkeypatch):
-    monkeypatch.setattr(repair, "UNFOLDING", 0)
+    monkeypatch.setattr(repair, "MAX_UNFOLDING_STEPS", 0)
     ball = sphere()
     a, b, c = ball.faces[100]
     tip = (ball.vertices[b] + ball.vertices[c]) / 2 * 1.3 - 0.3 * ball.vertices[a]
     vertices, p = np.concatenate([ball.vertices, tip[None]]), len(ball.vertices)
     folded = Triangles(vertices, np.concatenate([np.delete(ball.faces, 100, 0), [[a, b, p], [b, c, p], [c, a, p]]]))
-    whole = repair.without_folds(folded)
+    whole = repair.remove_folds(folded)
     assert folds(whole) == 0 and counts(whole) == (0, 0, 0)
     assert len(folded.faces) - 6 <= len(whole.faces) < len(folded.faces) and abs(body(whole).volume / body(ball).volume - 1) < 0.01
 
