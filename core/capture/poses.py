@@ -29,7 +29,7 @@ from .upright_model import sparse_model, turn_upright
 
 MODEL = "distorted/sparse/0"
 STATE = "poses.json"
-ENOUGH = 0.8  # fraction of the photographs that a first run must register; otherwise more costly runs follow
+MIN_REGISTERED_FRACTION = 0.8  # fraction of the photographs that a first run must register; otherwise more costly runs follow
 FORMAT = 1  # of the state and the database; a change makes older ones invalid
 
 
@@ -99,7 +99,7 @@ def find_poses(
     if not state:
         _forget(folder)
         write_atomic(folder / STATE, json.dumps({"key": key}).encode())
-    solution = _solve(photographs, folder, settings, seed, progress, turntable)
+    solution = _Solver(photographs, folder, settings, seed, progress, turntable).solve()
     model = check_model(photographs, solution.models[0] if solution.models else None, is_panoramic(solution.path))
     left_out = explain_left_out(photographs, solution.models, solution.counts, solution.inliers)
     refine_robustly(model, solution.freedom)
@@ -108,67 +108,65 @@ def find_poses(
     return sparse_model(upright, photographs, left_out)
 
 
-def _solve(
-    photographs: Sequence[Photograph], folder: Path, settings: CaptureSettings, seed: int, progress: Progress, turntable: Turntable | None
-) -> Solution:
-    """Run the mapper, and again with more matches while few photographs are registered; return the best solution."""
-    count, path, thorough = len(photographs), folder / "database.db", folder / "database_thorough.db"
-    best = _search(photographs, path, settings, seed, progress, turntable)
-    attempts: list[tuple[str, Callable[[], Solution]]] = []
-    if settings.matching == "auto" and EXHAUSTIVE < count <= AFFORDABLE:
-        attempts.append(("matching every pair", lambda: _match(photographs, path, every_pair(count), False, seed, progress)))
-    attempts.append(("trying with weaker matches", lambda: _map(photographs, best, True, seed, progress)))
-    fainter = lambda: _search(photographs, thorough, settings, seed, progress, turntable, thorough=True)  # noqa: E731
-    attempts.append(("searching for fainter features", fainter))
-    for what, attempt in attempts:
-        if best.registered >= ENOUGH * count or is_panoramic(best.path):
-            break
-        progress.message(f"only {best.registered} of {count} photographs fit together; {what}")
-        best = max(best, attempt(), key=lambda s: s.quality)
-    return best
+@dataclass(frozen=True, eq=False)
+class _Solver:
+    """Runs of the mapper; see `find_poses` for the attributes."""
 
+    photographs: Sequence[Photograph]
+    folder: Path
+    settings: CaptureSettings
+    seed: int
+    progress: Progress
+    turntable: Turntable | None
 
-def _search(
-    photographs: Sequence[Photograph],
-    path: Path,
-    settings: CaptureSettings,
-    seed: int,
-    progress: Progress,
-    turntable: Turntable | None,
-    thorough: bool = False,
-) -> Solution:
-    """Find features, match the selected pairs, and run the mapper."""
-    open_database(path, photographs)
-    find_features(photographs, path, settings.features, thorough, progress, turntable)
-    check_features(photographs, feature_counts(path, len(photographs)))
-    every = thorough and settings.matching == "auto" and len(photographs) <= AFFORDABLE
-    pairs = every_pair(len(photographs)) if every else select_pairs(path, len(photographs), settings.matching, seed)
-    return _match(photographs, path, pairs, thorough, seed, progress)
+    def solve(self) -> Solution:
+        """Run the mapper, and again with more matches while few photographs are registered; return the best solution."""
+        count, path, thorough = len(self.photographs), self.folder / "database.db", self.folder / "database_thorough.db"
+        best = self._search(path)
+        attempts: list[tuple[str, Callable[[], Solution]]] = []
+        if self.settings.matching == "auto" and EXHAUSTIVE < count <= AFFORDABLE:
+            attempts.append(("matching every pair", lambda: self._match(path, every_pair(count), False)))
+        attempts.append(("trying with weaker matches", lambda: self._map(best, True)))
+        attempts.append(("searching for fainter features", lambda: self._search(thorough, thorough=True)))
+        for what, attempt in attempts:
+            if best.registered >= MIN_REGISTERED_FRACTION * count or is_panoramic(best.path):
+                break
+            self.progress.message(f"only {best.registered} of {count} photographs fit together; {what}")
+            best = max(best, attempt(), key=lambda s: s.quality)
+        return best
 
+    def _search(self, path: Path, thorough: bool = False) -> Solution:
+        """Find features, match the selected pairs, and run the mapper, with the database at a path."""
+        photographs, count, matching = self.photographs, len(self.photographs), self.settings.matching
+        open_database(path, photographs)
+        find_features(photographs, path, self.settings.features, thorough, self.progress, self.turntable)
+        check_features(photographs, feature_counts(path, count))
+        every = thorough and matching == "auto" and count <= AFFORDABLE
+        pairs = every_pair(count) if every else select_pairs(path, count, matching, self.seed)
+        return self._match(path, pairs, thorough)
 
-def _match(photographs: Sequence[Photograph], path: Path, pairs: Pairs, lenient: bool, seed: int, progress: Progress) -> Solution:
-    """Match pairs, and run the mapper."""
-    match_features(path, pairs, seed, progress)
-    counts, inliers = feature_counts(path, len(photographs)), inlier_counts(path, len(photographs))
-    check_matches(photographs, inliers)
-    return _map(photographs, Solution([], path, Freedom.FULL, counts, inliers), lenient, seed, progress)
+    def _match(self, path: Path, pairs: Pairs, lenient: bool) -> Solution:
+        """Match pairs, and run the mapper."""
+        match_features(path, pairs, self.seed, self.progress)
+        counts, inliers = feature_counts(path, len(self.photographs)), inlier_counts(path, len(self.photographs))
+        check_matches(self.photographs, inliers)
+        return self._map(Solution([], path, Freedom.FULL, counts, inliers), lenient)
 
+    def _map(self, known: Solution, lenient: bool) -> Solution:
+        """Run the mapper; while a lens is impossible, again with fewer of its intrinsics free.
 
-def _map(photographs: Sequence[Photograph], known: Solution, lenient: bool, seed: int, progress: Progress) -> Solution:
-    """Run the mapper; while a lens is impossible, again with fewer of its intrinsics free.
-
-    Small models of weak matches fit any distortion, so that a lenient run begins with one coefficient.
-    """
-    freedoms = [Freedom.RADIAL, Freedom.FIXED] if lenient else list(Freedom)
-    for freedom in freedoms:
-        given = initial_cameras(photographs, radial=freedom is not Freedom.FULL)
-        reset_cameras(known.path, given)
-        models = map_photographs(known.path, len(photographs), Attempt(lenient, freedom), seed, progress)
-        if not models or freedom is freedoms[-1] or has_plausible_lenses(models[0], given):
-            break
-        fewer = freedoms[freedoms.index(freedom) + 1]
-        progress.message(f"no real lens fits the photographs; intrinsics that are refined: {fewer.value}")
-    return Solution(models, known.path, freedom, known.counts, known.inliers)
+        Small models of weak matches fit any distortion, so that a lenient run begins with one coefficient.
+        """
+        freedoms = [Freedom.RADIAL, Freedom.FIXED] if lenient else list(Freedom)
+        for freedom in freedoms:
+            given = initial_cameras(self.photographs, radial=freedom is not Freedom.FULL)
+            reset_cameras(known.path, given)
+            models = map_photographs(known.path, len(self.photographs), Attempt(lenient, freedom), self.seed, self.progress)
+            if not models or freedom is freedoms[-1] or has_plausible_lenses(models[0], given):
+                break
+            fewer = freedoms[freedoms.index(freedom) + 1]
+            self.progress.message(f"no real lens fits the photographs; intrinsics that are refined: {fewer.value}")
+        return Solution(models, known.path, freedom, known.counts, known.inliers)
 
 
 def _fingerprint(photographs: Sequence[Photograph], settings: CaptureSettings, seed: int, turntable: bool) -> str:
