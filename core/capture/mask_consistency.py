@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -17,39 +17,68 @@ from .background_evidence import background_evidence, plane_differences
 from .ground import Ground
 from .object_region import ObjectRegion
 from .plane_texture import PlaneTexture, plane_texture
-from .segmentation import LOOSE_EDGE, NEAR, SEED, Cutout, cut, learn_colours
+from .segmentation import LOOSE_EDGE, NEAR_PIXELS, SEED_COST, Cutout, cut, learn_colours
 from .soft_hull import projected_voxels, silhouettes, soft_hull
 
 ROUNDS = 2  # of carving and cutting again
-LATER_SEED = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
-AROUND = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
-ON = 0.87  # first prior where the object's points are
-HIDING = 0.3  # first prior from which a pixel may hide the support plane
-SPECKLES = 1.5  # pixels at 640 a side, sigma of the blur of the plane's evidence in the first cut
-GAPS = 7  # pixels at 640 a side, diameter of gaps in the first masks that are closed
-ELSEWHERE = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
-AGREED = 0.6  # IoU with the other views' silhouette below which a mask has no vote
-DOUBTFUL = 0.75  # IoU below which a finished mask is reported
+LATER_SEED_COST = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
+PRIOR_FALLOFF = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
+OBJECT_PRIOR = 0.87  # first prior where the object's points are
+HIDING_PRIOR = 0.3  # first prior from which a pixel may hide the support plane
+EVIDENCE_BLUR = 1.5  # pixels at 640 a side, sigma of the blur of the plane's evidence in the first cut
+GAP_DIAMETER = 7  # pixels at 640 a side, diameter of gaps in the first masks that are closed
+ELSEWHERE_SURENESS = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
+MIN_AGREEMENT = 0.6  # IoU with the other views' silhouette below which a mask has no vote
+SURE_AGREEMENT = 0.75  # IoU below which a finished mask is reported
+
+
+@dataclass(frozen=True, eq=False)
+class MaskedView:
+    """View of which the object is cut out.
+
+    Attributes:
+        name: name of the view.
+        camera: its camera.
+        colour: (H, W, 3) float32 sRGB-encoded photograph.
+        cutout: crop with its seeds; None for a view that does not show the object.
+        mapped: True for a view with a depth map: the others are cut once the hull is known.
+    """
+
+    name: str
+    camera: Camera
+    colour: np.ndarray
+    cutout: Cutout | None
+    mapped: bool
+
+
+@dataclass(frozen=True, eq=False)
+class _CutInput:
+    """What the cut of one view starts from; images are (h, w) of its crop.
+
+    Attributes:
+        view: index of the view.
+        prior: 0..1, how surely other views say that a pixel is the object.
+        sure: -1..1, how surely a pixel's colour is the object's (1) or the background's (-1).
+        seed_cost: cost of cutting against a seed, nats.
+        start: 0..1 where the iterations begin.
+        evidence: log-likelihood ratio of the support plane to the object; None without.
+    """
+
+    view: int
+    prior: np.ndarray
+    sure: np.ndarray
+    seed_cost: float
+    start: np.ndarray
+    evidence: np.ndarray | None
 
 
 def consistent_masks(
-    cutouts: Sequence[Cutout | None],
-    cameras: Sequence[Camera],
-    colours: Sequence[np.ndarray],
-    names: Sequence[str],
-    mapped: Sequence[bool],
-    region: ObjectRegion,
-    ground: Ground | None,
-    progress: Progress,
+    views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress
 ) -> tuple[list[np.ndarray | None], list[tuple[str, str]]]:
     """Cut the object out of all views.
 
     Args:
-        cutouts: the views' crops with their seeds; None for a view that does not show the object.
-        cameras: cameras of the views.
-        colours: (H, W, 3) float32 sRGB-encoded photographs.
-        names: names of the views.
-        mapped: True for the views with a depth map: the others are cut once the hull is known.
+        views: the views.
         region: region of the object.
         ground: ground on which the object stands, or None.
         progress: receives the phase "cut out the object", and may cancel.
@@ -60,9 +89,9 @@ def consistent_masks(
     Raises:
         Cancelled: the user stopped the work.
     """
-    work = _Work(cutouts, cameras, colours, names, region, ground, progress)
-    progress.phase("cut out the object", (ROUNDS + 1) * len(cutouts))
-    work.first([cutout is not None and (known or cutout.given is not None) for cutout, known in zip(cutouts, mapped, strict=True)])
+    work = _Work(views, region, ground, progress)
+    progress.phase("cut out the object", (ROUNDS + 1) * len(views))
+    work.first([i for i, one in enumerate(views) if one.cutout is not None and (one.mapped or one.cutout.given is not None)])
     for _ in range(ROUNDS):
         work.again()
     return work.masks, work.doubtful()
@@ -71,46 +100,37 @@ def consistent_masks(
 class _Work:
     """State of the rounds; see `consistent_masks` for the arguments."""
 
-    def __init__(
-        self,
-        cutouts: Sequence[Cutout | None],
-        cameras: Sequence[Camera],
-        colours: Sequence[np.ndarray],
-        names: Sequence[str],
-        region: ObjectRegion,
-        ground: Ground | None,
-        progress: Progress,
-    ) -> None:
-        self.cutouts, self.cameras, self.colours, self.names = list(cutouts), cameras, colours, names
+    def __init__(self, views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress) -> None:
+        self.views, self.cutouts, self.cameras = views, [one.cutout for one in views], [one.camera for one in views]
         self.region, self.ground, self.progress = region, ground, progress
-        self.masks: list[np.ndarray | None] = [None] * len(cutouts)
-        self.agreement = np.ones(len(cutouts))
+        self.masks: list[np.ndarray | None] = [None] * len(views)
+        self.agreement = np.ones(len(views))
         self.refused: set[int] = set()
         self.texture: PlaneTexture | None = None
-        self.pixel = float(np.median([max(camera.width, camera.height) for camera in cameras])) / 640
+        self.pixel = float(np.median([max(camera.width, camera.height) for camera in self.cameras])) / 640
         self.done = 0
 
-    def first(self, ready: list[bool]) -> None:
-        """Cut the views that have evidence of their own, with the object's points as a weak prior.
+    def first(self, chosen: list[int]) -> None:
+        """Cut the chosen views, which have evidence of their own, with the object's points as a weak prior.
 
         Metal reflects the table: here and there it looks like the plane behind it. Such speckles would become holes, which carve the hull.
         """
-        chosen = [i for i, one in enumerate(ready) if one]
         if not chosen:
             return
         whole = [self._first_prior(camera) for camera in self.cameras]
         priors = [self._cutout(i).cropped(whole[i]) for i in chosen]
         sure = [_first_sureness(self._cutout(i), prior) for i, prior in zip(chosen, priors, strict=True)]
         evidence = self._first_evidence(chosen, sure, whole)
-        self._cut(chosen, priors, sure, [SEED] * len(chosen), [np.maximum(one, 0) for one in sure], evidence)
-        side = 2 * round((GAPS * self.pixel - 1) / 2) + 1  # odd
+        parts = zip(chosen, priors, sure, evidence, strict=True)
+        self._cut([_CutInput(i, prior, one, SEED_COST, np.maximum(one, 0), plane) for i, prior, one, plane in parts])
+        side = 2 * round((GAP_DIAMETER * self.pixel - 1) / 2) + 1  # odd
         for i in chosen:
             mask = self.masks[i]
             assert mask is not None
             self.masks[i] = cv2.morphologyEx(mask, cv2.MORPH_CLOSE, cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (side, side)))
 
-    def _first_evidence(self, chosen: list[int], sure: list[np.ndarray], whole: list[np.ndarray]) -> Sequence[np.ndarray | None]:
-        """Return the evidence of the plane (h, w) in the chosen views before any view was cut; none where no point tells what hides it.
+    def _first_evidence(self, chosen: list[int], sure: list[np.ndarray], whole: list[np.ndarray]) -> list[np.ndarray | None]:
+        """Return the evidence of the plane (h, w) in the chosen views before any view was cut; None where no point tells what hides it.
 
         Args:
             chosen: the views.
@@ -118,38 +138,38 @@ class _Work:
             whole: first prior (H, W) of all views.
         """
         if not len(self.region.points()):
-            return ()
+            return [None] * len(chosen)
         known = [np.select([one > 0.9, one < -0.5], [1.0, 0.0], 0.5).astype(np.float32) for one in sure]  # object, background, either
-        found = self._plane_evidence(chosen, known, [(prior > HIDING).astype(np.float32) for prior in whole])
-        return [None if one is None else cv2.GaussianBlur(one, (0, 0), SPECKLES * self.pixel) for one in found]
+        found = self._plane_evidence(chosen, known, [(prior > HIDING_PRIOR).astype(np.float32) for prior in whole])
+        return [None if one is None else cv2.GaussianBlur(one, (0, 0), EVIDENCE_BLUR * self.pixel) for one in found]
 
     def again(self) -> None:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
         plane = None if self.ground is None else self.ground.plane
-        hull = soft_hull(self.cameras, self.masks, (self.agreement >= AGREED).astype(float), self.region.bound, plane)
+        hull = soft_hull(self.cameras, self.masks, (self.agreement >= MIN_AGREEMENT).astype(float), self.region.bound, plane)
         if hull is None:
             return
         found = silhouettes(hull, self.cameras)
         self._compare(found)
         chosen = [i for i, cutout in enumerate(self.cutouts) if cutout is not None]
         priors = [self._cutout(i).cropped(found[i]) for i in chosen]
-        seeds = [LATER_SEED if self.agreement[i] >= AGREED else 0.0 for i in chosen]
-        evidence = self._plane_evidence(chosen, priors, self.masks)
-        self._cut(chosen, priors, [2 * prior - 1 for prior in priors], seeds, priors, evidence)
+        costs = [LATER_SEED_COST if self.agreement[i] >= MIN_AGREEMENT else 0.0 for i in chosen]
+        parts = zip(chosen, priors, costs, self._plane_evidence(chosen, priors, self.masks), strict=True)
+        self._cut([_CutInput(i, prior, 2 * prior - 1, cost, prior, plane) for i, prior, cost, plane in parts])
         self._compare(found)
 
     def doubtful(self) -> list[tuple[str, str]]:
         """Return the names of doubtful views with the reason."""
         found = []
-        for i, (name, mask) in enumerate(zip(self.names, self.masks, strict=True)):
+        for i, (view, mask) in enumerate(zip(self.views, self.masks, strict=True)):
             if self.cutouts[i] is None:
-                found.append((name, "does not show the object"))
+                found.append((view.name, "does not show the object"))
             elif mask is None or mask.max() < 0.5:
-                found.append((name, "the object was not found in it"))
+                found.append((view.name, "the object was not found in it"))
             elif i in self.refused:
-                found.append((name, "the mask that was given contradicts the other views; it was cut out anew"))
-            elif self.agreement[i] < DOUBTFUL:
-                found.append((name, f"its mask and the other views' agree only by {100 * self.agreement[i]:.0f} %"))
+                found.append((view.name, "the mask that was given contradicts the other views; it was cut out anew"))
+            elif self.agreement[i] < SURE_AGREEMENT:
+                found.append((view.name, f"its mask and the other views' agree only by {100 * self.agreement[i]:.0f} %"))
         return found
 
     def _cutout(self, i: int) -> Cutout:
@@ -158,14 +178,14 @@ class _Work:
         return cutout
 
     def _first_prior(self, camera: Camera) -> np.ndarray:
-        """Return the prior (H, W) from the object's points: ON at them, and 0 away from them."""
+        """Return the prior (H, W) from the object's points: OBJECT_PRIOR at them, and 0 away from them."""
         points, bound = self.region.points(), self.region.bound
         if not len(points):
             return np.full((camera.height, camera.width), 0.5, np.float32)
         on = projected_voxels(camera, points, self.region.step) > 0
         radius = bound.radius * camera.fx / max(float(camera.project(np.asarray(bound.centre)[None])[1][0]), 1e-9)
         distance = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 5)
-        return np.where(on, ON, 0.5 * np.clip(1 - distance / max(AROUND * radius, 1), 0, 1)).astype(np.float32)
+        return np.where(on, OBJECT_PRIOR, 0.5 * np.clip(1 - distance / max(PRIOR_FALLOFF * radius, 1), 0, 1)).astype(np.float32)
 
     def _plane_evidence(
         self, chosen: list[int], priors: list[np.ndarray], hidden: Sequence[np.ndarray | None]
@@ -178,7 +198,7 @@ class _Work:
             return [None] * len(chosen)
         if self.texture is None:
             on_object = [self._seen_object(i) for i in range(len(self.cutouts))]
-            seen = plane_texture(self.colours, self.cameras, hidden, self.ground.plane, self.region.bound, on_object)
+            seen = plane_texture([one.colour for one in self.views], self.cameras, hidden, self.ground.plane, self.region.bound, on_object)
             self.texture = self.ground.visible(seen)
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
@@ -194,24 +214,15 @@ class _Work:
             return None
         return cutout.full(cutout.seed > 0, (camera.height, camera.width))
 
-    def _cut(
-        self,
-        chosen: list[int],
-        priors: list[np.ndarray],
-        sure: list[np.ndarray],
-        seeds: list[float],
-        starts: list[np.ndarray],
-        evidence: Sequence[np.ndarray | None] = (),
-    ) -> None:
-        """Learn the colours of the chosen views and cut them.
-
-        Lists hold for each of them a prior, what is sure, the seeds' cost, the start, and the evidence of the plane; none: no evidence.
-        """
-        cutouts = [self._cutout(i) for i in chosen]
-        models = learn_colours(cutouts, sure, NEAR * self.pixel)
-        jobs = list(zip(cutouts, models, priors, seeds, starts, evidence or [None] * len(chosen), strict=True))
-        for i, cutout, crop in zip(chosen, cutouts, run_jobs(cut, jobs), strict=False):
-            self.masks[i] = cutout.full(crop, (self.cameras[i].height, self.cameras[i].width))
+    def _cut(self, inputs: Sequence[_CutInput]) -> None:
+        """Learn the colours of views and cut them."""
+        cutouts = [self._cutout(one.view) for one in inputs]
+        models = learn_colours(cutouts, [one.sure for one in inputs], NEAR_PIXELS * self.pixel)
+        parts = zip(inputs, cutouts, models, strict=True)
+        jobs = [(cutout, model, one.prior, one.seed_cost, one.start, one.evidence) for one, cutout, model in parts]
+        for one, cutout, crop in zip(inputs, cutouts, run_jobs(cut, jobs), strict=False):
+            camera = self.cameras[one.view]
+            self.masks[one.view] = cutout.full(crop, (camera.height, camera.width))
             self.done += 1
             self.progress.step(self.done)
             if self.progress.cancelled:
@@ -222,7 +233,7 @@ class _Work:
         for i, (mask, other) in enumerate(zip(self.masks, found, strict=True)):
             self.agreement[i] = 1.0 if mask is None else overlap(mask, other)
             cutout = self.cutouts[i]
-            if cutout is not None and cutout.given is not None and self.agreement[i] < AGREED:
+            if cutout is not None and cutout.given is not None and self.agreement[i] < MIN_AGREEMENT:
                 self.cutouts[i] = replace(cutout, given=None)
                 self.refused.add(i)
 
@@ -231,7 +242,7 @@ def _first_sureness(cutout: Cutout, prior: np.ndarray) -> np.ndarray:
     """Return (h, w) float32 -1..1, how surely pixels are the object before any view was cut."""
     if cutout.given is not None:
         return np.clip(cutout.given * LOOSE_EDGE / 4, -1, 1)
-    return np.where(cutout.seed != 0, cutout.seed, np.where(prior < 0.35, -ELSEWHERE, 0)).astype(np.float32)
+    return np.where(cutout.seed != 0, cutout.seed, np.where(prior < 0.35, -ELSEWHERE_SURENESS, 0)).astype(np.float32)
 
 
 def overlap(mask: np.ndarray, other: np.ndarray) -> float:

@@ -16,7 +16,7 @@ from ..settings.schema import CaptureSettings
 from ..stereo.fusion import OrientedPoints
 from .dense_points import DensePoints, find_dense_points
 from .ground import Ground, find_ground, with_base
-from .mask_consistency import consistent_masks
+from .mask_consistency import MaskedView, consistent_masks
 from .object_region import ObjectRegion, find_object_region
 from .segmentation import prepare_cutout
 from .soft_edges import soft_edges
@@ -92,8 +92,9 @@ def cut_out(
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
     jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
-    names, mapped = [view.name for view in views], [i in maps for i in range(len(views))]
-    masks, doubtful = consistent_masks(cutouts, cameras, [view.colour for view in views], names, mapped, region, ground, progress)
+    parts = enumerate(zip(views, cutouts, strict=True))
+    masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
+    masks, doubtful = consistent_masks(masked, region, ground, progress)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
     if sum(mask is not None for mask in masks) < FEWEST:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")

@@ -19,20 +19,22 @@ from .ground import Ground
 from .object_region import ObjectRegion
 
 MARGIN = 1.15  # factor of the bound's radius in the crop
-THIN = 3  # pixels of a depth map's window in which all depths must agree for a seed
-SEED = 4.0  # cost of cutting against a seed, nats
-GIVEN = 4.0  # cost of cutting against the user's mask, nats
+SEED_WINDOW = 3  # pixels of a depth map's window in which all depths must agree for a seed
+SEED_COST = 4.0  # cost of cutting against a seed, nats
+GIVEN_COST = 4.0  # cost of cutting against the user's mask, nats
 LOOSE_EDGE = 8.0  # pixels around the edge of the user's mask over which this cost grows: drawn edges are not exact
-COLOUR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
-MOST = 2.5  # largest log-likelihood ratio of a colour
-PLANE = 0.6  # factor of the log-likelihood ratio of the support plane's texture
-COLOUR_WITH_PLANE = 0.2  # COLOUR where that texture is known, which tells object and table apart even where their colours are alike
-SHARED = 0.5  # weight of the colours of all views against those of the view itself
-PRIOR = 2.5  # cost of cutting against the other views, nats
-INSIDE = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
-NEAR = 12.0  # pixels around the object's silhouette from which the background's colours are learned, at 640 pixels a side
-EDGE = 2.5  # cost of a pixel's length of silhouette where the image is flat
-CONTRAST = 0.1  # fraction of EDGE that a pixel's length of silhouette costs at the strongest edges of the image
+COLOUR_FACTOR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
+MAX_COLOUR_RATIO = 2.5  # largest log-likelihood ratio of a colour
+PLANE_FACTOR = 0.6  # factor of the log-likelihood ratio of the support plane's texture
+COLOUR_FACTOR_WITH_PLANE = (
+    0.2  # COLOUR_FACTOR where that texture is known, which tells object and table apart even where their colours are alike
+)
+SHARED_WEIGHT = 0.5  # weight of the colours of all views against those of the view itself
+PRIOR_COST = 2.5  # cost of cutting against the other views, nats
+INSIDE_FACTOR = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside
+NEAR_PIXELS = 12.0  # pixels around the object's silhouette from which the background's colours are learned, at 640 pixels a side
+EDGE_COST = 2.5  # cost of a pixel's length of silhouette where the image is flat
+MIN_EDGE_FRACTION = 0.1  # fraction of EDGE_COST that a pixel's length of silhouette costs at the strongest edges of the image
 ITERATIONS = 150  # of the cut
 
 
@@ -139,13 +141,13 @@ def _depth_seeds(one: DepthMap, region: ObjectRegion, ground: Ground | None) -> 
     own = known & (region.labels(points) == 1)
     if ground is not None:
         own &= ~ground.below(points)
-    window = np.ones((THIN, THIN), np.uint8)
+    window = np.ones((SEED_WINDOW, SEED_WINDOW), np.uint8)
     inner = cv2.erode((own | ~known).astype(np.uint8), window) * own
     outer = cv2.erode((~own).astype(np.uint8), window) * (known & ~own)
     return inner.astype(np.int8) - outer.astype(np.int8)
 
 
-def edge_weight(colour: np.ndarray, most: float = EDGE) -> np.ndarray:
+def edge_weight(colour: np.ndarray, most: float = EDGE_COST) -> np.ndarray:
     """Return the cost (h, w) of a pixel's length of silhouette: less where colours change.
 
     Args:
@@ -156,7 +158,7 @@ def edge_weight(colour: np.ndarray, most: float = EDGE) -> np.ndarray:
     change = np.zeros(lab.shape[:2], np.float32)
     change[:, :-1] += (np.diff(lab, axis=1) ** 2).sum(-1)
     change[:-1] += (np.diff(lab, axis=0) ** 2).sum(-1)
-    return most * (CONTRAST + (1 - CONTRAST) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
+    return most * (MIN_EDGE_FRACTION + (1 - MIN_EDGE_FRACTION) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
 
 
 def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near: float) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -178,7 +180,7 @@ def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near:
     shared = [np.mean([c[k] / max(c[k].sum(), 1) for c in counts], 0) for k in (0, 1)]
     models: list[tuple[np.ndarray, np.ndarray]] = []
     for own in counts:
-        mixed = [SHARED * shared[k] + (1 - SHARED) * own[k] / own[k].sum() if own[k].sum() > 0 else shared[k] for k in (0, 1)]
+        mixed = [SHARED_WEIGHT * shared[k] + (1 - SHARED_WEIGHT) * own[k] / own[k].sum() if own[k].sum() > 0 else shared[k] for k in (0, 1)]
         models.append((probabilities(mixed[0]), probabilities(mixed[1])))
     return models
 
@@ -187,7 +189,7 @@ def cut(
     cutout: Cutout,
     model: tuple[np.ndarray, np.ndarray],
     prior: np.ndarray,
-    seeds: float,
+    seed_cost: float,
     start: np.ndarray,
     plane: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -197,7 +199,7 @@ def cut(
         cutout: the view.
         model: probabilities (B,) of the object's and of the background's colours.
         prior: (h, w) 0..1, how surely other evidence says that a pixel is the object.
-        seeds: cost of cutting against a seed, nats.
+        seed_cost: cost of cutting against a seed, nats.
         start: (h, w) 0..1 where the iterations begin.
         plane: (h, w) log-likelihood ratio of the support plane to the object (`background_evidence`), 0 where unknown; None without.
 
@@ -205,11 +207,11 @@ def cut(
         The mask (h, w) float32, nearly binary.
     """
     ratio = np.log(model[1] / model[0]).astype(np.float32)
-    cost = COLOUR * np.clip(ratio, -MOST, MOST)[cutout.bins]
+    cost = COLOUR_FACTOR * np.clip(ratio, -MAX_COLOUR_RATIO, MAX_COLOUR_RATIO)[cutout.bins]
     if plane is not None:
-        cost = np.where(plane != 0, COLOUR_WITH_PLANE / COLOUR, 1) * cost + PLANE * plane
-    cost = (cost - seeds * cutout.seed).astype(np.float32)
-    cost += PRIOR * np.where(prior > 0.5, INSIDE, 1) * (1 - 2 * prior)
+        cost = np.where(plane != 0, COLOUR_FACTOR_WITH_PLANE / COLOUR_FACTOR, 1) * cost + PLANE_FACTOR * plane
+    cost = (cost - seed_cost * cutout.seed).astype(np.float32)
+    cost += PRIOR_COST * np.where(prior > 0.5, INSIDE_FACTOR, 1) * (1 - 2 * prior)
     if cutout.given is not None:
-        cost -= GIVEN * cutout.given
+        cost -= GIVEN_COST * cutout.given
     return minimum_cut(cost, cutout.weight, start, ITERATIONS)
