@@ -12,13 +12,13 @@ from ..scene.camera import Camera
 from .likelihood_ratio import log_likelihood_ratios
 from .plane_texture import PlaneTexture
 
-LOCAL = 0.02  # sigma of the window in which a photograph's own brightness of the plane is measured, in the image's longest sides
-COARSE = 4  # factor by which images are reduced for that
-WIDER = 4.0  # factor of that window where nothing of the plane is near
-LARGEST_RATIO = 4.0  # of that brightness to the texture's
-WIDEST = 0.8  # difference in the last bin of the histograms, encoded
-SURE = 0.1  # prior below which a pixel counts as the background, and above 1 - SURE as the object
-MOST = 4.0  # largest log-likelihood ratio
+LOCAL_SIGMA = 0.02  # sigma of the window in which a photograph's own brightness of the plane is measured, in the image's longest sides
+REDUCTION = 4  # factor by which images are reduced for that
+WIDER_FACTOR = 4.0  # factor of that window where nothing of the plane is near
+MAX_BRIGHTNESS_RATIO = 4.0  # of that brightness to the texture's
+MAX_DIFFERENCE = 0.8  # difference in the last bin of the histograms, encoded
+SURE_PRIOR = 0.1  # prior below which a pixel counts as the background, and above 1 - SURE_PRIOR as the object
+MAX_LOG_RATIO = 4.0  # largest log-likelihood ratio
 
 
 def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera, prior: np.ndarray) -> np.ndarray:
@@ -33,7 +33,7 @@ def plane_differences(texture: PlaneTexture, colour: np.ndarray, camera: Camera,
         camera: camera of the photograph.
         prior: (H, W) 0..1, how surely a pixel is the object.
     """
-    plane, known = plane_in_photograph(texture, colour, camera, prior < SURE)
+    plane, known = plane_in_photograph(texture, colour, camera, prior < SURE_PRIOR)
     return np.where(known, np.abs(colour - plane).max(-1), np.nan).astype(np.float32)
 
 
@@ -53,12 +53,12 @@ def plane_in_photograph(texture: PlaneTexture, colour: np.ndarray, camera: Camer
 def _ratio(colour: np.ndarray, plane: np.ndarray, outside: np.ndarray) -> np.ndarray:
     """Return the photograph's brightness over the texture's (H, W, 3), averaged around each pixel over what is `outside`."""
     height, width = outside.shape
-    small = max(width // COARSE, 1), max(height // COARSE, 1)
+    small = max(width // REDUCTION, 1), max(height // REDUCTION, 1)
     shown = [cv2.resize(image * outside[..., None], small, interpolation=cv2.INTER_AREA) for image in (colour, plane)]
-    size, weight = LOCAL * max(small), cv2.resize(outside, small, interpolation=cv2.INTER_AREA)
-    near, wide = (np.divide(*(cv2.GaussianBlur(image, (0, 0), sigma) + 1e-4 for image in shown)) for sigma in (size, WIDER * size))
+    size, weight = LOCAL_SIGMA * max(small), cv2.resize(outside, small, interpolation=cv2.INTER_AREA)
+    near, wide = (np.divide(*(cv2.GaussianBlur(image, (0, 0), sigma) + 1e-4 for image in shown)) for sigma in (size, WIDER_FACTOR * size))
     trust = np.minimum(1, 20 * cv2.GaussianBlur(weight, (0, 0), size))[..., None]
-    ratio = np.clip(trust * near + (1 - trust) * wide, 1 / LARGEST_RATIO, LARGEST_RATIO)
+    ratio = np.clip(trust * near + (1 - trust) * wide, 1 / MAX_BRIGHTNESS_RATIO, MAX_BRIGHTNESS_RATIO)
     return cv2.resize(ratio, (width, height), interpolation=cv2.INTER_LINEAR)
 
 
@@ -72,5 +72,5 @@ def background_evidence(differences: Sequence[np.ndarray], priors: Sequence[np.n
         differences: (H, W) of each view, as of `plane_differences`.
         priors: (H, W) 0..1 of each view, how surely a pixel is the object.
     """
-    background, inside = [prior < SURE for prior in priors], [prior > 1 - SURE for prior in priors]
-    return [np.clip(one, -MOST, MOST) for one in log_likelihood_ratios(differences, background, inside, WIDEST)]
+    background, inside = [prior < SURE_PRIOR for prior in priors], [prior > 1 - SURE_PRIOR for prior in priors]
+    return [np.clip(one, -MAX_LOG_RATIO, MAX_LOG_RATIO) for one in log_likelihood_ratios(differences, background, inside, MAX_DIFFERENCE)]

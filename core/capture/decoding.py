@@ -23,9 +23,11 @@ from .raw import decode_raw
 
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "HEIF")  # files of several JPEGs (MPO) are opened as JPEG
 LOSSLESS = ("PNG", "TIFF")
-DEFLATE = 8 * 1032  # largest number of pixels of one bit in a byte of a compressed TIFF
-COMPRESSED = 2000  # largest number of pixels in a byte of HEIC and WebP, whose formats set no limit; photographs have less than 100
-LARGEST = 8 * MAX_PIXELS  # bytes of a file: four channels of 16 bits
+MAX_DEFLATE_RATIO = 8 * 1032  # largest number of pixels of one bit in a byte of a compressed TIFF
+MAX_COMPRESSED_RATIO = (
+    2000  # largest number of pixels in a byte of HEIC and WebP, whose formats set no limit; photographs have less than 100
+)
+MAX_FILE_BYTES = 8 * MAX_PIXELS  # bytes of a file: four channels of 16 bits
 BITS_PER_SAMPLE = 258  # tag of TIFF
 
 Image.init()  # here, since threads must not do it at the same time
@@ -70,7 +72,7 @@ def decode_photograph(path: Path) -> DecodedPhotograph:
     if path.suffix.lower() in RAW:
         colour, shot = decode_raw(path)
         return DecodedPhotograph(shot.orientation.upright(colour), None, shot, lossless=True, unchanged=False)
-    if _size(path) > LARGEST:
+    if _size(path) > MAX_FILE_BYTES:
         raise InputError(path, "is larger than any photograph", "remove it")
     try:
         data = path.read_bytes()  # Pillow would allocate what a damaged file claims for a part of it
@@ -98,7 +100,9 @@ def _check(path: Path, image: Image.Image) -> None:
         image_size(path)
         return
     check_pixels(path, *image.size)
-    check_filled(path, image.width * image.height, (DEFLATE if image.format == "TIFF" else COMPRESSED) * path.stat().st_size)
+    check_filled(
+        path, image.width * image.height, (MAX_DEFLATE_RATIO if image.format == "TIFF" else MAX_COMPRESSED_RATIO) * path.stat().st_size
+    )
 
 
 def _decoded(path: Path, image: Image.Image, data: bytes) -> DecodedPhotograph:

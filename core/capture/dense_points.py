@@ -18,9 +18,9 @@ from ..stereo.estimation import estimate_depth_maps
 from ..stereo.fusion import OrientedPoints, fuse_points
 from ..stereo.settings import StereoSettings
 
-LONGEST = 320  # longest side of a depth map, pixels
-VIEWS = 64  # most views with a depth map: more add time but hardly any surface
-SUPPORT = 2  # views that must agree with a depth
+MAX_DEPTH_MAP_SIDE = 320  # longest side of a depth map, pixels
+MAX_VIEWS = 64  # most views with a depth map: more add time but hardly any surface
+MIN_SUPPORT = 2  # views that must agree with a depth
 # A third of the time: the depths only have to tell parts apart. Exposures are not known yet.
 QUICK = StereoSettings(sources=5, fine_sweeps=1, geometric_sweeps=0, brightness=0.0)
 
@@ -31,7 +31,7 @@ class DensePoints:
 
     Attributes:
         chosen: indices of the views that have a depth map.
-        maps: their depth maps; a depth counts where its support is at least SUPPORT.
+        maps: their depth maps; a depth counts where its support is at least MIN_SUPPORT.
         points: fused points.
         target: (3,) the point that the cameras look at, or the centre that the user gave.
         distance: median distance of the cameras to it, world units.
@@ -61,14 +61,14 @@ def find_dense_points(views: Sequence[View], points: PointCloud | None, sphere: 
     Raises:
         Cancelled: the user stopped the work.
     """
-    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), VIEWS)).round().astype(int)).tolist()
+    chosen = np.unique(np.linspace(0, len(views) - 1, min(len(views), MAX_VIEWS)).round().astype(int)).tolist()
     small = [_reduced(views[i]) for i in chosen]
     cameras = [view.camera for view in small]
     known = None if points is None or not len(points.position) else points.position.astype(np.float64)
     bound = sphere or (bound_of_points(cameras, known) if known is not None else None) or bound_of_cameras(cameras)
     nearest, farthest = depth_bounds(cameras, points, bound)
     maps = estimate_depth_maps(small, nearest, farthest, known, QUICK, seed, _Renamed(progress))
-    fused = fuse_points(maps, [view.colour for view in small], SUPPORT, QUICK)
+    fused = fuse_points(maps, [view.colour for view in small], MIN_SUPPORT, QUICK)
     look = find_look_at_point(cameras)
     target = look.point if sphere is None else np.asarray(sphere.centre, np.float64)
     distance = float(np.median([np.linalg.norm(camera.centre - target) for camera in cameras]))
@@ -77,8 +77,8 @@ def find_dense_points(views: Sequence[View], points: PointCloud | None, sphere: 
 
 
 def _reduced(view: View) -> View:
-    """Return a view with an image of at most LONGEST pixels a side and without alpha."""
-    scale = min(1.0, LONGEST / max(view.camera.width, view.camera.height))
+    """Return a view with an image of at most MAX_DEPTH_MAP_SIDE pixels a side and without alpha."""
+    scale = min(1.0, MAX_DEPTH_MAP_SIDE / max(view.camera.width, view.camera.height))
     width, height = (max(1, round(scale * side)) for side in (view.camera.width, view.camera.height))
     colour = reduce_image(DecodedImage(view.colour, None), width, height).colour
     return replace(view, camera=view.camera.resized(width, height), colour=colour, alpha=None)

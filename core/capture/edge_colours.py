@@ -16,11 +16,11 @@ from .likelihood_ratio import log_likelihood_ratios
 from .plane_texture import PlaneTexture
 
 INNER, OUTER = 1.5, 2.0  # errors of a mask from its edge, from which pixels are surely the object, and surely the background
-OPAQUE = 0.9  # rendered opacity from which the rendered colour is the object's
-COVERED = 1.0  # errors of a mask that this colour keeps from the rendered outline
+MIN_RENDERED_OPACITY = 0.9  # rendered opacity from which the rendered colour is the object's
+OUTLINE_CLEARANCE = 1.0  # errors of a mask that this colour keeps from the rendered outline
 OBJECT_WINDOW, BACKGROUND_WINDOW = 0.75, 1.5  # sigmas, in errors of a mask, of the windows from which both colours are continued
-WINDOWS = 4  # tried; each is twice as wide
-WIDEST = 0.5  # difference in the last bin of the histograms, encoded
+MAX_WINDOWS = 4  # tried; each is twice as wide
+MAX_DIFFERENCE = 0.5  # difference in the last bin of the histograms, encoded
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,10 +57,10 @@ def edge_colours(
     """
     filled, shown = (mask > 0.5).astype(np.uint8), (rendered[1] > 0.5).astype(np.uint8)
     inside, outside = grown_mask(filled, -INNER * error) > 0, grown_mask(filled, OUTER * error) == 0
-    solid = (rendered[1] > OPAQUE) & (grown_mask(shown, -COVERED * error) > 0)
-    own = continued_colour(rendered[0], solid, OBJECT_WINDOW * error, WINDOWS)
+    solid = (rendered[1] > MIN_RENDERED_OPACITY) & (grown_mask(shown, -OUTLINE_CLEARANCE * error) > 0)
+    own = continued_colour(rendered[0], solid, OBJECT_WINDOW * error, MAX_WINDOWS)
     plane, textured = plane_in_photograph(texture, colour, camera, outside)
-    background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, WINDOWS))
+    background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, MAX_WINDOWS))
     differences = [np.abs(colour - other).max(-1).astype(np.float32) for other in (own, background)]
     return EdgeColours(differences[0], differences[1], inside, outside, textured)
 
@@ -71,7 +71,7 @@ def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
     How much both differ from their colours is learned from the pixels that are sure.
     """
     inside, outside = [one.inside for one in views], [one.outside for one in views]
-    own = log_likelihood_ratios([one.from_object for one in views], outside, inside, WIDEST)
+    own = log_likelihood_ratios([one.from_object for one in views], outside, inside, MAX_DIFFERENCE)
     plane = [one.outside & one.textured for one in views]
-    background = log_likelihood_ratios([one.from_background for one in views], plane, inside, WIDEST)
+    background = log_likelihood_ratios([one.from_background for one in views], plane, inside, MAX_DIFFERENCE)
     return [first + second for first, second in zip(own, background, strict=True)]

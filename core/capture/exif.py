@@ -18,11 +18,11 @@ PLANE_X, PLANE_UNIT, WIDTH, HEIGHT = 0xA20E, 0xA210, 0xA002, 0xA003
 UNITS = {2: 25.4, 3: 10.0, 4: 1.0, 5: 0.001}  # millimetres of FocalPlaneResolutionUnit
 DIAGONAL = math.hypot(36, 24)  # of 35 mm film, millimetres
 TURNS = {1: (0, False), 2: (0, True), 3: (2, False), 4: (2, True), 5: (1, True), 6: (3, False), 7: (3, True), 8: (1, False)}
-LARGEST_ISO16 = 65535  # in the 16-bit field of the sensitivity: too large for it, and stated elsewhere
+MAX_ISO16 = 65535  # in the 16-bit field of the sensitivity: too large for it, and stated elsewhere
 POSSIBLE_FOCAL = (0.2, 100.0)  # focal length in long sides of the image: 136 to 0.6 degrees
 POSSIBLE_TIME, POSSIBLE_F, POSSIBLE_ISO = (1e-6, 3600.0), (0.3, 200.0), (1.0, 1e7)  # seconds, f-number, ISO
-AGREE = 1.15  # ratio up to which two statements of the focal length agree
-LONGEST = 60  # characters of a name that are kept
+MAX_FOCAL_RATIO = 1.15  # ratio up to which two statements of the focal length agree
+MAX_NAME_LENGTH = 60  # characters of a name that are kept
 
 
 @dataclass(frozen=True)
@@ -112,7 +112,7 @@ def _focal(tags: Mapping[int, Any], width: int, height: int) -> float | None:
     diagonal, longest = math.hypot(width, height), max(width, height)
     film, plane = _positive(tags.get(FOCAL_35)), _plane_focal(tags, longest)
     film = film * diagonal / DIAGONAL if film else None
-    if film and plane and not 1 / AGREE < plane / film < AGREE:
+    if film and plane and not 1 / MAX_FOCAL_RATIO < plane / film < MAX_FOCAL_RATIO:
         plane = None
     focal = plane or film
     return focal if focal and POSSIBLE_FOCAL[0] < focal / longest < POSSIBLE_FOCAL[1] else None
@@ -131,7 +131,7 @@ def _plane_focal(tags: Mapping[int, Any], longest: int) -> float | None:
 def _exposure(tags: Mapping[int, Any]) -> float | None:
     """Return exposure time x ISO / f-number^2 where all three are stated and possible."""
     iso = _positive(tags.get(ISO))
-    if iso == LARGEST_ISO16:
+    if iso == MAX_ISO16:
         iso = _positive(tags.get(ISO_INDEX)) or _positive(tags.get(ISO_SPEED))
     time, stop = _positive(tags.get(EXPOSURE_TIME)), _positive(tags.get(F_NUMBER))
     if not time or not stop or not iso:
@@ -168,4 +168,4 @@ def _number(value: object) -> float | None:
 def _text(value: object) -> str:
     """Return a value as one line of text."""
     text = value.decode("latin-1") if isinstance(value, bytes) else value if isinstance(value, str) else ""
-    return " ".join("".join(c if c.isprintable() else " " for c in text).replace("|", " ").split())[:LONGEST]
+    return " ".join("".join(c if c.isprintable() else " " for c in text).replace("|", " ").split())[:MAX_NAME_LENGTH]

@@ -13,7 +13,7 @@ from ..io.atomic import write_atomic
 from .decoding import decode_photograph
 from .exif import Orientation
 
-ASPECT = 0.02  # relative difference of aspect ratios up to which a mask fits a photograph
+MAX_ASPECT_DIFFERENCE = 0.02  # relative difference of aspect ratios up to which a mask fits a photograph
 
 
 def write_given_mask(file: Path, size: tuple[int, int], orientation: Orientation, target: Path) -> None:
@@ -67,7 +67,7 @@ def _scaled(mask: np.ndarray) -> np.ndarray:
 
 def _fits(mask: np.ndarray, size: tuple[int, int]) -> bool:
     """Return True for a mask of an image's aspect ratio."""
-    return abs(mask.shape[1] * size[1] / (mask.shape[0] * size[0]) - 1) < ASPECT
+    return abs(mask.shape[1] * size[1] / (mask.shape[0] * size[0]) - 1) < MAX_ASPECT_DIFFERENCE
 
 
 def _resized(mask: np.ndarray, size: tuple[int, int]) -> np.ndarray:

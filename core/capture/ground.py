@@ -19,17 +19,20 @@ from .object_region import ObjectRegion, bounding_sphere, lowest_height
 from .plane_texture import PlaneTexture
 from .support_plane import SupportPlane
 
-CELL = 2.0  # side of a cell, pixels (see DensePoints.pixel)
-REACH = 2.0  # radii of the object around it in which heights are averaged
-AROUND = 1.2  # radii from which the heights are those of the plane
-HIGHEST = 1.25  # largest height of averaged points, as a factor of the height from which points do not belong to the plane
-LEAST, SURE = 0.6, 8.0  # height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights
+CELL_PIXELS = 2.0  # side of a cell, pixels (see DensePoints.pixel)
+GROUND_REACH = 2.0  # radii of the object around it in which heights are averaged
+PLANE_RADIUS = 1.2  # radii from which the heights are those of the plane
+MAX_HEIGHT_RATIO = 1.25  # largest height of averaged points, as a factor of the height from which points do not belong to the plane
+MIN_BASE_PIXELS, MIN_BASE_DEVIATIONS = (
+    0.6,
+    8.0,
+)  # height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights
 # Largest height of the voxels above a base that show where a thing stands, as a factor of the height from which points do not belong to the
 # plane.
 FOOT = 4.0
-BESIDE = 2  # cells beside the object's foot whose heights its own points raise
-SHARE = 0.1  # least number of a base's cells beyond these, as a share of the foot's
-FEWEST = 1.0  # averaged number of points in a cell whose height is known
+FOOT_MARGIN_CELLS = 2  # cells beside the object's foot whose heights its own points raise
+MIN_BASE_FRACTION = 0.1  # least number of a base's cells beyond these, as a fraction of the foot's
+MIN_POINTS_PER_CELL = 1.0  # averaged number of points in a cell whose height is known
 _AROUND_CELL = np.ones((3, 3), bool)
 
 
@@ -76,7 +79,7 @@ class _Cells:
         np.add.at(total, tuple(cell[kept].T), height[kept])
         np.add.at(count, tuple(cell[kept].T), 1)
         total, count = ndimage.gaussian_filter(total, 1.0), ndimage.gaussian_filter(count, 1.0)
-        return np.where(count >= FEWEST, total / np.maximum(count, FEWEST), np.nan)
+        return np.where(count >= MIN_POINTS_PER_CELL, total / np.maximum(count, MIN_POINTS_PER_CELL), np.nan)
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,14 +139,14 @@ def find_ground(dense: DensePoints, plane: SupportPlane, region: ObjectRegion) -
         plane: plane on which the object stands.
         region: region of the object, from what is clearly above the plane.
     """
-    lowest, step, reach = lowest_height(dense, plane), CELL * dense.pixel, REACH * region.bound.radius
+    lowest, step, reach = lowest_height(dense, plane), CELL_PIXELS * dense.pixel, GROUND_REACH * region.bound.radius
     cells = _Cells(plane, plane.axes() @ np.asarray(region.bound.centre) - reach, step, int(np.ceil(2 * reach / step)))
-    height = cells.mean_heights(dense.points.position, HIGHEST * lowest)
-    beside = height[(cells.distances() > AROUND * region.bound.radius) & np.isfinite(height)]
+    height = cells.mean_heights(dense.points.position, MAX_HEIGHT_RATIO * lowest)
+    beside = height[(cells.distances() > PLANE_RADIUS * region.bound.radius) & np.isfinite(height)]
     if not len(beside):
         return Ground(plane, lowest, None)
     level = float(np.median(beside))
-    least = max(LEAST * dense.pixel, SURE * 1.4826 * float(np.median(np.abs(beside - level))))
+    least = max(MIN_BASE_PIXELS * dense.pixel, MIN_BASE_DEVIATIONS * 1.4826 * float(np.median(np.abs(beside - level))))
     foot, others = (cells.under(_standing(region, label, plane, lowest)) for label in (1, 2))
     return Ground(plane, lowest, _base(cells, np.nan_to_num(height - level), least, foot, others))
 
@@ -161,13 +164,13 @@ def _base(cells: _Cells, height: np.ndarray, least: float, foot: np.ndarray, oth
     raised = height > least
     label = np.asarray(ndimage.label(raised | foot, _AROUND_CELL)[0])  # pyright: ignore[reportIndexIssue]
     base = raised & np.isin(label, np.unique(label[foot]))
-    beyond = base & ~np.asarray(ndimage.binary_dilation(foot, _AROUND_CELL, BESIDE), bool)
+    beyond = base & ~np.asarray(ndimage.binary_dilation(foot, _AROUND_CELL, FOOT_MARGIN_CELLS), bool)
     beyond = np.asarray(ndimage.binary_opening(beyond, _AROUND_CELL), bool)
-    if beyond.sum() <= SHARE * foot.sum():
+    if beyond.sum() <= MIN_BASE_FRACTION * foot.sum():
         return None
     thickness = float(np.median(height[beyond]))
     base &= height > thickness / 2
-    ends = np.asarray(ndimage.binary_dilation(others, _AROUND_CELL, BESIDE), bool)
+    ends = np.asarray(ndimage.binary_dilation(others, _AROUND_CELL, FOOT_MARGIN_CELLS), bool)
     ends[[0, -1]] = ends[:, [0, -1]] = True
     if (base & ends).any():
         return None
@@ -178,7 +181,7 @@ def _standing(region: ObjectRegion, label: int, plane: SupportPlane, lowest: flo
     """Return the centres (P, 3) of the voxels of a label that are higher than a base, but not much."""
     points = region.corner + (np.argwhere(region.label == label) + 0.5) * region.step
     height = plane.height(points)
-    return points[(height > HIGHEST * lowest + region.step / 2) & (height <= FOOT * lowest)]
+    return points[(height > MAX_HEIGHT_RATIO * lowest + region.step / 2) & (height <= FOOT * lowest)]
 
 
 def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: Bound | None) -> ObjectRegion:
@@ -191,7 +194,7 @@ def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: 
     points = dense.points.position
     if sphere is not None:
         points = points[np.linalg.norm(points - np.asarray(sphere.centre), axis=1) < sphere.radius]
-    points = points[ground.base.covers(points) & ~ground.below(points) & (ground.plane.height(points) <= HIGHEST * ground.lowest)]
+    points = points[ground.base.covers(points) & ~ground.below(points) & (ground.plane.height(points) <= MAX_HEIGHT_RATIO * ground.lowest)]
     cell = np.floor((points - region.corner) / region.step).astype(np.int64)
     cell = cell[((cell >= 0) & (cell < region.label.shape)).all(1)]
     label = region.label.copy()

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.ndimage import gaussian_filter1d
 
 BINS = 32  # of the histograms of differences
-SHARED = 0.5  # weight of the histograms of all views against those of the view itself
-FEWEST = 200  # pixels of each kind without which there is no evidence, and from which a view's own histogram counts
-FLOOR = 3e-3  # probability of a bin that nothing fell into
+SHARED_WEIGHT = 0.5  # weight of the histograms of all views against those of the view itself
+MIN_PIXELS = 200  # pixels of each kind without which there is no evidence, and from which a view's own histogram counts
+PROBABILITY_FLOOR = 3e-3  # probability of a bin that nothing fell into
 
 
 def log_likelihood_ratios(
@@ -33,7 +33,7 @@ def log_likelihood_ratios(
     """
     counts = [[_histogram(one[kind], widest) for kind in kinds] for one, *kinds in zip(differences, background, inside, strict=True)]
     shared = np.sum(counts, 0, np.float64) if counts else np.zeros((2, BINS))
-    if shared.sum(1).min() < FEWEST:
+    if shared.sum(1).min() < MIN_PIXELS:
         return [np.zeros(one.shape, np.float32) for one in differences]
     result = []
     for one, own in zip(differences, counts, strict=True):
@@ -55,6 +55,6 @@ def _histogram(difference: np.ndarray, widest: float) -> np.ndarray:
 def _probability(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
     """Return the probability (BINS,) of each bin from a view's own counts and those of all views."""
     mixed = shared / shared.sum()
-    if own.sum() >= FEWEST:
-        mixed = SHARED * mixed + (1 - SHARED) * own / own.sum()
-    return gaussian_filter1d(mixed, 1.0, mode="nearest") + FLOOR
+    if own.sum() >= MIN_PIXELS:
+        mixed = SHARED_WEIGHT * mixed + (1 - SHARED_WEIGHT) * own / own.sum()
+    return gaussian_filter1d(mixed, 1.0, mode="nearest") + PROBABILITY_FLOOR

@@ -19,9 +19,9 @@ ROBUST_SCALE = 1.0  # pixels of error at which the final adjustment begins to di
 ROBUST_ITERATIONS = 10  # of the final adjustment; more change the poses by less than a tenth of their error
 GLOBAL_GROWTH = 1.5  # the model grows by this factor between two global adjustments; 1.1 takes a fifth longer for the same poses
 TOLERANCE = 1e-5  # relative change of the error at which an adjustment ends; without, a quarter longer for the same poses
-SMALLEST_MODEL = 3  # photographs
+MIN_MODEL_PHOTOGRAPHS = 3  # photographs
 FOCAL_RANGE = (0.3, 20.0)  # possible focal lengths, in long sides of the image
-FOCAL_CHANGE = 1.6  # largest factor between the focal length of EXIF and the refined one
+MAX_FOCAL_CHANGE = 1.6  # largest factor between the focal length of EXIF and the refined one
 
 
 class Freedom(Enum):
@@ -87,7 +87,7 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
     options = pycolmap.IncrementalPipelineOptions()
     options.num_threads = options.mapper.num_threads = 1
     options.random_seed = options.mapper.random_seed = options.triangulation.random_seed = seed
-    options.extract_colors, options.min_model_size = False, SMALLEST_MODEL
+    options.extract_colors, options.min_model_size = False, MIN_MODEL_PHOTOGRAPHS
     options.ba_refine_focal_length = options.mapper.abs_pose_refine_focal_length = attempt.freedom is not Freedom.FIXED
     options.ba_refine_extra_params = options.mapper.abs_pose_refine_extra_params = attempt.freedom is not Freedom.FIXED
     options.ba_global_frames_ratio = options.ba_global_points_ratio = GLOBAL_GROWTH
@@ -140,7 +140,7 @@ def _is_plausible(camera: pycolmap.Camera, given: pycolmap.Camera) -> bool:
     if not FOCAL_RANGE[0] * longest < focal < FOCAL_RANGE[1] * longest:
         return False
     change = focal / given.mean_focal_length()
-    if given.has_prior_focal_length and not 1 / FOCAL_CHANGE < change < FOCAL_CHANGE:
+    if given.has_prior_focal_length and not 1 / MAX_FOCAL_CHANGE < change < MAX_FOCAL_CHANGE:
         return False
     if abs(np.log(camera.focal_length_x / camera.focal_length_y)) > 0.1:
         return False

@@ -19,11 +19,11 @@ from .photograph import Photograph
 from .sparse_model import PosedPhotograph, SparseModel
 
 Read = Callable[[Photograph], np.ndarray]  # returns the upright copy, (H, W, 3) uint8 sRGB or (H, W) grey
-SEEN = 3  # photographs that must agree on a marker
-LARGEST_ERROR = 0.004  # reprojection error of a corner up to which a photograph agrees, in focal lengths
-PAIRS = 200  # pairs of photographs from which a marker is triangulated, at most
-LARGEST_SKEW = 0.1  # deviation of a triangulated marker from a square, in sides
-SMALLEST_ANGLE = 2.0  # degrees between the rays of a pair of photographs to a marker
+MIN_PHOTOGRAPHS = 3  # photographs that must agree on a marker
+MAX_ERROR = 0.004  # reprojection error of a corner up to which a photograph agrees, in focal lengths
+MAX_PAIRS = 200  # pairs of photographs from which a marker is triangulated, at most
+MAX_SKEW = 0.1  # deviation of a triangulated marker from a square, in sides
+MIN_ANGLE = 2.0  # degrees between the rays of a pair of photographs to a marker
 SQUARE = np.array([[-0.5, 0.5, 0], [0.5, 0.5, 0], [0.5, -0.5, 0], [-0.5, -0.5, 0]])  # OpenCV's corner order, normal +Z
 
 
@@ -71,7 +71,7 @@ class _View:
 
     def agrees(self, points: np.ndarray) -> bool:
         """Return True if all corners (4, 3) project to where they were found."""
-        return bool((np.linalg.norm(self.project(points) - self.corners, axis=1) < LARGEST_ERROR).all())
+        return bool((np.linalg.norm(self.project(points) - self.corners, axis=1) < MAX_ERROR).all())
 
 
 def find_marker_scale(model: SparseModel, side: float, read: Read) -> MarkerScale | None:
@@ -93,7 +93,7 @@ def find_marker_scale(model: SparseModel, side: float, read: Read) -> MarkerScal
         grey = cv2.cvtColor(grey, cv2.COLOR_RGB2GRAY) if grey.ndim == 3 else grey
         for one in detect_markers(np.ascontiguousarray(grey)):
             views[one.dictionary, one.number].append(_view(posed, one))
-    fits = [(key, fit) for key, seen in sorted(views.items()) if len(seen) >= SEEN and (fit := _fit_marker(seen)) is not None]
+    fits = [(key, fit) for key, seen in sorted(views.items()) if len(seen) >= MIN_PHOTOGRAPHS and (fit := _fit_marker(seen)) is not None]
     if not fits:
         return None
     (name, number), (corners, agreeing) = max(fits, key=lambda f: len(f[1][1]))
@@ -113,21 +113,21 @@ def _view(posed: PosedPhotograph, found: Detection) -> _View:
 
 
 def _fit_marker(views: list[_View]) -> tuple[np.ndarray, list[_View]] | None:
-    """Triangulate the corners from pairs of views, keep what most views agree on, and fit a square; None if fewer than SEEN agree."""
+    """Triangulate the corners from pairs of views, keep what most agree on, and fit a square; None if fewer than MIN_PHOTOGRAPHS agree."""
     pairs = list(combinations(range(len(views)), 2))
     best: tuple[np.ndarray, list[_View]] | None = None
-    for i, j in pairs[:: max(1, len(pairs) // PAIRS)]:
+    for i, j in pairs[:: max(1, len(pairs) // MAX_PAIRS)]:
         corners = _triangulate(views[i], views[j])
         if corners is None:
             continue
         agreeing = [v for v in views if v.agrees(corners)]
-        if len(agreeing) >= SEEN and (best is None or len(agreeing) > len(best[1])):
+        if len(agreeing) >= MIN_PHOTOGRAPHS and (best is None or len(agreeing) > len(best[1])):
             best = corners, agreeing
-    if best is None or _skew(best[0]) > LARGEST_SKEW:
+    if best is None or _skew(best[0]) > MAX_SKEW:
         return None
     square = _fit_square(*best)
     agreeing = [v for v in views if v.agrees(square)]
-    return (square, agreeing) if len(agreeing) >= SEEN else None
+    return (square, agreeing) if len(agreeing) >= MIN_PHOTOGRAPHS else None
 
 
 def _triangulate(one: _View, other: _View) -> np.ndarray | None:
@@ -139,7 +139,7 @@ def _triangulate(one: _View, other: _View) -> np.ndarray | None:
     corners = (points[:3] / points[3]).T
     rays = [corners.mean(0) - v.centre for v in (one, other)]
     cosine = rays[0] @ rays[1] / max(np.linalg.norm(rays[0]) * np.linalg.norm(rays[1]), 1e-30)
-    return corners if cosine < np.cos(np.radians(SMALLEST_ANGLE)) else None
+    return corners if cosine < np.cos(np.radians(MIN_ANGLE)) else None
 
 
 def _skew(corners: np.ndarray) -> float:

@@ -11,13 +11,13 @@ from scipy.ndimage import map_coordinates
 
 from ..io.srgb import decode_srgb
 
-REACH = 1 / 12  # pixels searched on both sides of an edge, in sides of the square; half of the border of a marker with six cells
-LEAST_REACH = 2.5  # pixels
+EDGE_REACH = 1 / 12  # pixels searched on both sides of an edge, in sides of the square; half of the border of a marker with six cells
+MIN_EDGE_REACH = 2.5  # pixels
 STEP = 0.25  # pixels between two samples across an edge
 MARGIN = 0.15  # fraction of a side that is left out at both ends
-LEAST_CONTRAST = 0.05  # between black and white, linear
-LEAST_SAMPLES = 5  # places along a side
-FARTHEST = 4.0  # pixels; a corner that moves further was no corner
+MIN_CONTRAST = 0.05  # between black and white, linear
+MIN_SAMPLES = 5  # places along a side
+MAX_CORNER_MOVE = 4.0  # pixels; a corner that moves further was no corner
 
 Line = tuple[np.ndarray, float]  # unit normal n and distance d: n . x = d
 
@@ -47,7 +47,7 @@ def refine_corners(grey: np.ndarray, corners: np.ndarray) -> np.ndarray | None:
     if (np.abs(np.linalg.det(normals)) < 0.05).any():
         return None
     refined = np.linalg.solve(normals, distances[..., None])[..., 0] + low
-    return refined if np.abs(refined - corners).max() < FARTHEST else None
+    return refined if np.abs(refined - corners).max() < MAX_CORNER_MOVE else None
 
 
 def _fit_edge(linear: np.ndarray, start: np.ndarray, end: np.ndarray, centre: np.ndarray) -> Line | None:
@@ -56,13 +56,13 @@ def _fit_edge(linear: np.ndarray, start: np.ndarray, end: np.ndarray, centre: np
     along = (end - start) / length
     outward = np.array([along[1], -along[0]])
     outward = -outward if outward @ (centre - start) > 0 else outward
-    reach = max(LEAST_REACH, REACH * length)
+    reach = max(MIN_EDGE_REACH, EDGE_REACH * length)
     across = np.arange(-reach, reach + 1e-6, STEP)
     places = start + np.linspace(MARGIN, 1 - MARGIN, max(8, int(length)))[:, None] * (end - start)
     x, y = np.moveaxis(places[:, None] + across[:, None] * outward, -1, 0)
     profiles = map_coordinates(linear, [y, x], order=3, mode="nearest")  # OpenCV's remap rounds places to 1/32 pixel
     offset, clear = _crossings(profiles, across)
-    if clear.sum() < LEAST_SAMPLES:
+    if clear.sum() < MIN_SAMPLES:
         return None
     return _fit_line((places + offset[:, None] * outward)[clear])
 
@@ -73,7 +73,7 @@ def _crossings(profiles: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np
     black, white = profiles[:, :ends].mean(1), profiles[:, -ends:].mean(1)
     middle = (black + white) / 2
     above = (profiles > middle[:, None]).argmax(1)
-    clear, above, row = (above > 0) & (white - black > LEAST_CONTRAST), np.maximum(above, 1), np.arange(len(profiles))
+    clear, above, row = (above > 0) & (white - black > MIN_CONTRAST), np.maximum(above, 1), np.arange(len(profiles))
     rise = profiles[row, above] - profiles[row, above - 1]
     return across[above - 1] + STEP * (middle - profiles[row, above - 1]) / np.maximum(rise, 1e-6), clear
 

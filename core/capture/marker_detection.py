@@ -18,10 +18,10 @@ DICTIONARIES = {
     6: ("DICT_6X6_1000", "DICT_APRILTAG_36H11", "DICT_APRILTAG_36H10", "DICT_ARUCO_MIP_36H12"),
     7: ("DICT_7X7_1000",),
 }
-CELL = 8  # pixels of a cell in the rectified marker
-CORRECTED = 0.3  # fraction of the correctable bits that may be wrong: more would find markers in any texture
-BORDER_ERRORS = 0.1  # largest fraction of white cells in the black border
-LEAST_SPREAD = 20.0  # grey levels between black and white cells
+CELL_PIXELS = 8  # pixels of a cell in the rectified marker
+MAX_CORRECTED_FRACTION = 0.3  # fraction of the correctable bits that may be wrong: more would find markers in any texture
+MAX_BORDER_ERRORS = 0.1  # largest fraction of white cells in the black border
+MIN_SPREAD = 20.0  # grey levels between black and white cells
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,7 +52,7 @@ def detect_markers(grey: np.ndarray) -> list[Detection]:
             if bits is None:
                 continue
             for name in names:
-                known, number, turns = _dictionary(name).identify(bits, CORRECTED)
+                known, number, turns = _dictionary(name).identify(bits, MAX_CORRECTED_FRACTION)
                 refined = refine_corners(grey, corners) if known else None
                 if refined is not None:
                     found.append(Detection(name, int(number), np.roll(refined, turns, axis=0) + 0.5))
@@ -78,14 +78,14 @@ def _quadrilaterals(grey: np.ndarray) -> list[np.ndarray]:
 
 def _read_cells(grey: np.ndarray, corners: np.ndarray, cells: int) -> np.ndarray | None:
     """Read the cells (N, N) uint8 inside the border, 1 for white; None if there is no black border or no contrast."""
-    side = (cells + 2) * CELL
+    side = (cells + 2) * CELL_PIXELS
     square = np.array([[0, 0], [side, 0], [side, side], [0, side]], np.float32) - 0.5
     flat = cv2.warpPerspective(grey, cv2.getPerspectiveTransform(corners, square), (side, side))
-    inner = flat.reshape(cells + 2, CELL, cells + 2, CELL)[:, 2:-2, :, 2:-2].mean((1, 3))
+    inner = flat.reshape(cells + 2, CELL_PIXELS, cells + 2, CELL_PIXELS)[:, 2:-2, :, 2:-2].mean((1, 3))
     threshold, _ = cv2.threshold(flat, 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     white = inner > threshold
     border = np.ones_like(white)
     border[1:-1, 1:-1] = False
-    if not white.any() or white[border].mean() > BORDER_ERRORS or inner[white].mean() - inner[~white].mean() < LEAST_SPREAD:
+    if not white.any() or white[border].mean() > MAX_BORDER_ERRORS or inner[white].mean() - inner[~white].mean() < MIN_SPREAD:
         return None
     return white[1:-1, 1:-1].astype(np.uint8)

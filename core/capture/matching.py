@@ -16,10 +16,10 @@ from .colmap_library import run_call
 from .feature_database import image_name
 from .image_retrieval import similarity
 
-EXHAUSTIVE = 30  # photographs up to which "auto" matches every pair at once
-AFFORDABLE = 150  # photographs up to which "auto" matches every pair where the selected ones register too few
-NEIGHBOURS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
-ALIKE = {"auto": 16, "sequential": 8}  # most similar photographs that each one is matched with; more give no better poses
+MAX_EXHAUSTIVE = 30  # photographs up to which "auto" matches every pair at once
+MAX_AFFORDABLE = 150  # photographs up to which "auto" matches every pair where the selected ones register too few
+NEXT_PHOTOGRAPHS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
+SIMILAR_PHOTOGRAPHS = {"auto": 16, "sequential": 8}  # most similar photographs that each one is matched with; more give no better poses
 CHUNK = 250  # pairs after which matches are written: what a killed job loses; fewer take longer
 TILE = 8  # photographs; pairs of two tiles are matched together, since search indices of photographs are built once a chunk
 
@@ -46,15 +46,15 @@ def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
     Returns:
         Pairs (i, j) of indices, i < j, sorted.
     """
-    if matching == "exhaustive" or (matching == "auto" and count <= EXHAUSTIVE):
+    if matching == "exhaustive" or (matching == "auto" and count <= MAX_EXHAUSTIVE):
         return every_pair(count)
-    steps = set(range(1, NEIGHBOURS[matching] + 1))
+    steps = set(range(1, NEXT_PHOTOGRAPHS[matching] + 1))
     if matching == "sequential":
         steps |= {1 << k for k in range(count.bit_length())}
     pairs = {(i, i + step) for step in steps for i in range(count - step)}
     alike = similarity(path, count, seed)
     np.fill_diagonal(alike, -2)
-    for i, row in enumerate(np.argsort(-alike, axis=1, kind="stable")[:, : min(ALIKE[matching], count - 1)]):
+    for i, row in enumerate(np.argsort(-alike, axis=1, kind="stable")[:, : min(SIMILAR_PHOTOGRAPHS[matching], count - 1)]):
         pairs |= {(min(i, j), max(i, j)) for j in row.tolist()}
     return sorted(pairs)
 

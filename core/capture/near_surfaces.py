@@ -13,12 +13,12 @@ from ..scene.voxel_means import voxel_means
 from ..stereo.fusion import OrientedPoints
 from .support_plane import SupportPlane
 
-REACH = 5.0  # distance from the object's centre up to which surfaces count, radii of the object
-SPACING = 1 / 15  # of the points, radii of the object
+SURFACE_REACH = 5.0  # distance from the object's centre up to which surfaces count, radii of the object
+POINT_SPACING = 1 / 15  # of the points, radii of the object
 CLEARANCE = 2.0  # spacings that other surfaces keep from the plane
-APART = 1.3  # radii of the object within which other points are none: stereo's errors at the object's outline would shadow it
-NEIGHBOURS = 4  # points of the plane whose colours are averaged
-FEWEST = 50  # points, below which there are no surroundings
+MIN_OBJECT_DISTANCE = 1.3  # radii of the object within which other points are none: stereo's errors at the object's outline would shadow it
+COLOUR_NEIGHBOURS = 4  # points of the plane whose colours are averaged
+MIN_POINTS = 50  # points, below which there are no surroundings
 
 
 def near_surfaces(points: OrientedPoints, on_object: np.ndarray, plane: SupportPlane | None, bound: Bound) -> Surroundings | None:
@@ -32,19 +32,19 @@ def near_surfaces(points: OrientedPoints, on_object: np.ndarray, plane: SupportP
         plane: plane that the object stands on, or None.
         bound: bounding sphere of the object.
     """
-    centre, spacing = np.asarray(bound.centre), SPACING * bound.radius
-    near = np.linalg.norm(points.position - centre, axis=1) < REACH * bound.radius
+    centre, spacing = np.asarray(bound.centre), POINT_SPACING * bound.radius
+    near = np.linalg.norm(points.position - centre, axis=1) < SURFACE_REACH * bound.radius
     others = points.select(near & ~on_object)
-    if len(others.position) < FEWEST:
+    if len(others.position) < MIN_POINTS:
         return None
     height = np.full(len(others.position), np.inf) if plane is None else np.abs(plane.height(others.position))
     free = height > CLEARANCE * spacing
-    free &= np.linalg.norm(others.position - centre, axis=1) > APART * bound.radius
+    free &= np.linalg.norm(others.position - centre, axis=1) > MIN_OBJECT_DISTANCE * bound.radius
     place, normal, colour = _averaged(others.select(free), spacing)
     on_plane = others.select(height <= CLEARANCE * spacing)
-    if plane is not None and len(on_plane.position) >= NEIGHBOURS:
-        grid = _plane_grid(plane, centre, REACH * bound.radius, spacing)
-        _, nearest = KDTree(on_plane.position).query(grid, k=NEIGHBOURS)
+    if plane is not None and len(on_plane.position) >= COLOUR_NEIGHBOURS:
+        grid = _plane_grid(plane, centre, SURFACE_REACH * bound.radius, spacing)
+        _, nearest = KDTree(on_plane.position).query(grid, k=COLOUR_NEIGHBOURS)
         place, normal = np.concatenate([place, grid]), np.concatenate([normal, np.tile(plane.normal, (len(grid), 1))])
         colour = np.concatenate([colour, decode_srgb(on_plane.colour[nearest]).mean(1)])
     return Surroundings(*(a.astype(np.float32) for a in (place, normal, colour, np.full(len(place), spacing))))

@@ -22,7 +22,7 @@ from .segmentation import prepare_cutout
 from .soft_edges import soft_edges
 from .support_plane import SupportPlane, find_support_plane
 
-FEWEST = 3  # masks that must be found, and given masks that can stand for a support plane
+MIN_MASKS = 3  # masks that must be found, and given masks that can stand for a support plane
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +77,7 @@ def cut_out(
         Cancelled: the user stopped the work.
     """
     given, background = given or {}, background or {}
-    if not settings.masks or len(views) < FEWEST:
+    if not settings.masks or len(views) < MIN_MASKS:
         return None
     cameras = [view.camera for view in views]
     dense = find_dense_points(views, points, sphere, seed, progress)
@@ -96,7 +96,7 @@ def cut_out(
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
     masks, doubtful = consistent_masks(masked, region, ground, progress)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
-    if sum(mask is not None for mask in masks) < FEWEST:
+    if sum(mask is not None for mask in masks) < MIN_MASKS:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")
         return None
     bound, on_object = sphere or _bound(views, masks, region), region.labels(dense.points.position) == 1
@@ -112,7 +112,7 @@ def _region(
     """Return the object's region, or the reason why there is none."""
     cameras = [view.camera for view in views]
     masked = [(view.camera, given[view.name].astype(np.float32)) for view in views if view.name in given]
-    if len(masked) >= FEWEST and sphere is None:
+    if len(masked) >= MIN_MASKS and sphere is None:
         sphere = bound_of_masks([camera for camera, _ in masked], [mask for _, mask in masked], bound_of_cameras(cameras))
     if not dense.reliable and sphere is None:
         return "the cameras don't look at one point (give the object's centre and radius)"

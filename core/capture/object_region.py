@@ -17,22 +17,24 @@ from .dense_points import DensePoints
 from .soft_hull import projected_voxels
 from .support_plane import SupportPlane
 
-VOXEL = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
-REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
-FRAME = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
-HEIGHT = 2.0  # height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance
-NOISE = 4.0  # that height in standard deviations of the plane's points; the larger of both heights counts
-FEWEST = 3  # points in a voxel from which it is occupied
-SMALLEST = 12  # voxels of a cluster
-BESIDE = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
-STANDING = 4.0  # voxels above the plane below which a cluster stands on it by itself
-CENTRAL = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
-QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
-MARGIN = 1.1  # factor of that radius
+VOXEL_PIXELS = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
+SEARCH_REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
+FRAME_RADII = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
+MIN_HEIGHT_PIXELS = (
+    2.0  # height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance
+)
+MIN_HEIGHT_DEVIATIONS = 4.0  # that height in standard deviations of the plane's points; the larger of both heights counts
+MIN_POINTS_PER_VOXEL = 3  # points in a voxel from which it is occupied
+MIN_CLUSTER_VOXELS = 12  # voxels of a cluster
+MAX_GAP_RADII = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
+STANDING_VOXELS = 4.0  # voxels above the plane below which a cluster stands on it by itself
+CENTRAL_FRACTION = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
+RADIUS_QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
+RADIUS_MARGIN = 1.1  # factor of that radius
 SMALL, INSET = 48, 5  # side of the small images in which the borders are looked at, and width of the rim that stereo sees badly, pixels
-AT_BORDER = 0.5  # largest mean fraction of the images' borders that an object on a plane covers
-HANGING = 0.3  # largest such fraction without a plane: only free space around it tells an object from a facade then
-FRAMED = 0.6  # mean fraction of the object's points inside the images below which it is no object but the scene
+MAX_BORDER_FRACTION = 0.5  # largest mean fraction of the images' borders that an object on a plane covers
+MAX_HANGING_BORDER_FRACTION = 0.3  # largest such fraction without a plane: only free space around it tells an object from a facade then
+MIN_FRAMED_FRACTION = 0.6  # mean fraction of the object's points inside the images below which it is no object but the scene
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,15 +103,15 @@ def find_object_region(
     Returns:
         The region, None where there is no cluster or where it fills the images beyond their edges, as a facade does.
     """
-    reach = min(REACH * dense.distance, FRAME * bound_of_cameras(cameras).radius if sphere is None else 3 * sphere.radius)
+    reach = min(SEARCH_REACH * dense.distance, FRAME_RADII * bound_of_cameras(cameras).radius if sphere is None else 3 * sphere.radius)
     points = _above(dense, plane, reach)
-    step = VOXEL * dense.pixel
+    step = VOXEL_PIXELS * dense.pixel
     corner = dense.target - reach - step
     shape = np.full(3, int(np.ceil(2 * (reach + step) / step)))
     cells = np.floor((points - corner) / step).astype(np.int64)
     flat, count = np.unique(np.ravel_multi_index(tuple(cells.T), tuple(shape)), return_counts=True)
     occupied = np.zeros(shape, bool)
-    occupied.reshape(-1)[flat[count >= FEWEST]] = True
+    occupied.reshape(-1)[flat[count >= MIN_POINTS_PER_VOXEL]] = True
     clusters = _clusters(occupied, corner, step, plane)
     if clusters is None:
         return None
@@ -123,7 +125,11 @@ def find_object_region(
         label[tuple(clusters.cells.T)] = np.where(np.linalg.norm(centres - sphere.centre, axis=1) < sphere.radius, 1, 2)
     bound = sphere or bounding_sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
     region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound))
-    return region if sphere is not None or _framed(region, cameras, HANGING if plane is None else AT_BORDER) else None
+    return (
+        region
+        if sphere is not None or _framed(region, cameras, MAX_HANGING_BORDER_FRACTION if plane is None else MAX_BORDER_FRACTION)
+        else None
+    )
 
 
 def _above(dense: DensePoints, plane: SupportPlane | None, reach: float) -> np.ndarray:
@@ -135,7 +141,7 @@ def _above(dense: DensePoints, plane: SupportPlane | None, reach: float) -> np.n
 
 def lowest_height(dense: DensePoints, plane: SupportPlane) -> float:
     """Return the height above the plane, world units, from which points do not belong to it."""
-    return max(HEIGHT * dense.pixel, NOISE * plane.noise)
+    return max(MIN_HEIGHT_PIXELS * dense.pixel, MIN_HEIGHT_DEVIATIONS * plane.noise)
 
 
 def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: SupportPlane | None) -> _Clusters | None:
@@ -145,7 +151,7 @@ def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: Supp
     cells = np.argwhere(occupied)
     own = label[tuple(cells.T)] - 1
     size = np.bincount(own, minlength=count)
-    keep = size >= SMALLEST
+    keep = size >= MIN_CLUSTER_VOXELS
     if not keep.any():
         return None
     number = np.cumsum(keep) - 1
@@ -167,8 +173,8 @@ def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, cameras: Se
     own[first] = True
     body = corner + (clusters.cells[clusters.label == first] + 0.5) * step
     bound = bounding_sphere(body, step)
-    standing = clusters.floor < STANDING * step
-    own |= (_distances(clusters, first, step) < max(BESIDE * bound.radius, 3 * step)) & ~standing
+    standing = clusters.floor < STANDING_VOXELS * step
+    own |= (_distances(clusters, first, step) < max(MAX_GAP_RADII * bound.radius, 3 * step)) & ~standing
     return own
 
 
@@ -183,7 +189,7 @@ def _distances(clusters: _Clusters, first: int, step: float) -> np.ndarray:
 def _centrality(camera: Camera, points: np.ndarray) -> np.ndarray:
     """Return (N,) in 0..1, how near to the image's centre points are: 1 in the centre, 0 outside."""
     pixel, depth = camera.project(points)
-    off = np.linalg.norm(pixel - (camera.width / 2, camera.height / 2), axis=1) / (CENTRAL * min(camera.width, camera.height) / 2)
+    off = np.linalg.norm(pixel - (camera.width / 2, camera.height / 2), axis=1) / (CENTRAL_FRACTION * min(camera.width, camera.height) / 2)
     return np.where(camera.in_image(pixel, depth), np.exp(-0.5 * np.minimum(off, 40) ** 2), 0)
 
 
@@ -197,16 +203,16 @@ def _inside(clusters: _Clusters, corner: np.ndarray, step: float, sphere: Bound)
 
 def bounding_sphere(points: np.ndarray, step: float) -> Bound:
     """Return a sphere about the centres (N, 3) of voxels with a side `step` that leaves out the farthest few."""
-    low, high = np.quantile(points, [1 - QUANTILE, QUANTILE], axis=0)
+    low, high = np.quantile(points, [1 - RADIUS_QUANTILE, RADIUS_QUANTILE], axis=0)
     x, y, z = (float(c) for c in (low + high) / 2)
-    far = np.quantile(np.linalg.norm(points - (x, y, z), axis=1), QUANTILE)
-    return Bound((x, y, z), MARGIN * float(far) + step)
+    far = np.quantile(np.linalg.norm(points - (x, y, z), axis=1), RADIUS_QUANTILE)
+    return Bound((x, y, z), RADIUS_MARGIN * float(far) + step)
 
 
 def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: float, bound: Bound) -> list[Bound]:
     """Return the bounding spheres of other clusters within three radii of the object, the largest first."""
     near = np.linalg.norm(clusters.centre - bound.centre, axis=1) < 3 * bound.radius
-    numbers = np.flatnonzero(near & ~own & (clusters.size >= 4 * SMALLEST))
+    numbers = np.flatnonzero(near & ~own & (clusters.size >= 4 * MIN_CLUSTER_VOXELS))
     numbers = numbers[np.argsort(-clusters.size[numbers], kind="stable")]
     return [bounding_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]
 
@@ -219,4 +225,4 @@ def _framed(region: ObjectRegion, cameras: Sequence[Camera], most: float) -> boo
         shown.append(float(camera.in_image(*camera.project(points)).mean()))
         image = projected_voxels(camera.resized(SMALL, SMALL), points, region.step)[INSET:-INSET, INSET:-INSET]
         border.append(float(np.concatenate([image[0], image[-1], image[:, 0], image[:, -1]]).mean()))
-    return float(np.mean(shown)) > FRAMED and float(np.mean(border)) < most
+    return float(np.mean(shown)) > MIN_FRAMED_FRACTION and float(np.mean(border)) < most

@@ -18,7 +18,7 @@ VIDEOS = (".mp4", ".mov", ".m4v", ".avi", ".mkv", ".webm")
 MASK_FOLDERS = ("masks", "mask")  # and masks_NAME
 RECORD = "photographs.json"  # of a capture that was read; its folders are no photographs
 COPIES, GIVEN_MASKS = "photographs", "given_masks"  # folders beside that file
-LOOKED_AT = 2000  # entries of a folder that `has_photographs` looks at before it gives up
+MAX_LOOKED_AT = 2000  # entries of a folder that `has_photographs` looks at before it gives up
 FIX = f"give a folder with photographs ({', '.join(s[1:] for s in (*PHOTOGRAPHS, *RAW))}) or a video ({', '.join(s[1:] for s in VIDEOS)})"
 
 
@@ -56,7 +56,7 @@ def has_photographs(path: Path) -> bool:
     for number, file in enumerate(_walk(path)):
         if file.suffix.lower() in suffixes:
             return True
-        if number > LOOKED_AT:
+        if number > MAX_LOOKED_AT:
             break
     return False
 

@@ -20,14 +20,14 @@ from ..scene.camera import Camera
 from ..scene.dataset import Bound
 from .support_plane import SupportPlane
 
-REACH = 3.0  # radii of the object around it in which the texture is made
-LARGEST = 768  # texels along a side
-CLEAR = 0.006  # distance that a texel keeps from the object's mask, in the image's longest sides
+TEXTURE_REACH = 3.0  # radii of the object around it in which the texture is made
+MAX_TEXTURE = 768  # texels along a side
+MASK_CLEARANCE = 0.006  # distance that a texel keeps from the object's mask, in the image's longest sides
 ROUNDS, GAP_ROUNDS = 2, 4  # of the robust mean, and of that of gaps, where some views see the object
-AGREED = 0.5  # share of the views of a texel in a gap that must agree
-NOISE = 0.06  # difference, encoded, at which a view's weight in the robust mean falls to a quarter
-AT_ONCE = 8  # photographs that are in memory as texels
-FEWEST = 2.0  # sum of the weights of a texel's views from which it is known
+MIN_AGREEING_FRACTION = 0.5  # fraction of the views of a texel in a gap that must agree
+NOISE_DIFFERENCE = 0.06  # difference, encoded, at which a view's weight in the robust mean falls to a quarter
+PHOTOGRAPHS_AT_ONCE = 8  # photographs that are in memory as texels
+MIN_WEIGHT = 2.0  # sum of the weights of a texel's views from which it is known
 _Job = tuple[np.ndarray, np.ndarray, Camera, np.ndarray, int]
 
 
@@ -86,14 +86,16 @@ def plane_texture(
         views = zip(images, hidden, cameras, strict=True)
         return [(image, _free(one, clear), camera, frame, side) for image, one, camera in views if one is not None]
 
-    mean, weight, _ = _robust_mean(jobs(masks, CLEAR, frame, side), side, ROUNDS)
-    known = weight > FEWEST
+    mean, weight, _ = _robust_mean(jobs(masks, MASK_CLEARANCE, frame, side), side, ROUNDS)
+    known = weight > MIN_WEIGHT
     if on_object is not None:
         begin, width = side // 4, side - 2 * (side // 4)  # the object, and enough around it to tell each photograph's exposure
         part = (slice(begin, begin + width), slice(begin, begin + width))
         shifted = frame @ np.array([[1.0, 0, begin], [0, 1, begin], [0, 0, 1]])
-        through, weight, count = _robust_mean(jobs(on_object, CLEAR / 2, shifted, width), width, GAP_ROUNDS, (mean[part], known[part]))
-        gap = ~known[part] & (weight > FEWEST) & (weight > AGREED * count)
+        through, weight, count = _robust_mean(
+            jobs(on_object, MASK_CLEARANCE / 2, shifted, width), width, GAP_ROUNDS, (mean[part], known[part])
+        )
+        gap = ~known[part] & (weight > MIN_WEIGHT) & (weight > MIN_AGREEING_FRACTION * count)
         mean[part], known[part] = np.where(gap[..., None], through, mean[part]), known[part] | gap
     return PlaneTexture(mean, known.astype(np.float32), frame)
 
@@ -114,13 +116,15 @@ def _robust_mean(
     """
     mean, weight, count = np.zeros((side, side, 3), np.float32), *np.zeros((2, side, side), np.float32)
     for turn in range(rounds):
-        exposure = reference if reference is not None else (mean, weight > FEWEST)
+        exposure = reference if reference is not None else (mean, weight > MIN_WEIGHT)
         total, sum_of_weights, count = np.zeros_like(mean), np.full_like(weight, 1e-6), np.zeros_like(weight)
-        for colour, seen in chain.from_iterable(run_jobs(_on_plane, jobs[k : k + AT_ONCE]) for k in range(0, len(jobs), AT_ONCE)):
+        for colour, seen in chain.from_iterable(
+            run_jobs(_on_plane, jobs[k : k + PHOTOGRAPHS_AT_ONCE]) for k in range(0, len(jobs), PHOTOGRAPHS_AT_ONCE)
+        ):
             count += seen
             colour = colour * _gain(exposure[0], colour, seen * exposure[1])
             if turn > 0:
-                seen = seen / (1 + np.square(colour - mean).mean(-1) / NOISE**2) ** 2
+                seen = seen / (1 + np.square(colour - mean).mean(-1) / NOISE_DIFFERENCE**2) ** 2
             total += seen[..., None] * colour
             sum_of_weights += seen
         mean, weight = total / sum_of_weights[..., None], sum_of_weights
@@ -131,8 +135,8 @@ def _frame(cameras: Sequence[Camera], plane: SupportPlane, bound: Bound) -> tupl
     """Return the texels' frame (4, 3) and their number along a side: about as large as pixels at the object."""
     centre, focal = np.asarray(bound.centre), np.median([camera.fx for camera in cameras])
     pixel = np.median([np.linalg.norm(camera.centre - centre) for camera in cameras]) / focal
-    side = int(np.clip(2 * REACH * bound.radius / pixel, 64, LARGEST))
-    across, along = plane.axes() * (2 * REACH * bound.radius / side)
+    side = int(np.clip(2 * TEXTURE_REACH * bound.radius / pixel, 64, MAX_TEXTURE))
+    across, along = plane.axes() * (2 * TEXTURE_REACH * bound.radius / side)
     foot = centre - plane.height(centre) * plane.normal
     corner = foot - (across + along) * (side - 1) / 2
     return np.stack([np.append(across, 0), np.append(along, 0), np.append(corner, 1)], 1), side

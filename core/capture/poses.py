@@ -20,7 +20,7 @@ from .colmap_library import silence
 from .feature_database import feature_counts, initial_cameras, inlier_counts, open_database, reset_cameras
 from .features import find_features
 from .mapping import Attempt, Freedom, has_plausible_lenses, map_photographs, refine_robustly
-from .matching import AFFORDABLE, EXHAUSTIVE, Pairs, every_pair, match_features, select_pairs
+from .matching import MAX_AFFORDABLE, MAX_EXHAUSTIVE, Pairs, every_pair, match_features, select_pairs
 from .photograph import LeftOut, Photograph
 from .registration_report import check_count, check_features, check_matches, check_model, explain_left_out, is_panoramic
 from .sparse_model import SparseModel
@@ -124,7 +124,7 @@ class _Solver:
         count, path, thorough = len(self.photographs), self.folder / "database.db", self.folder / "database_thorough.db"
         best = self._search(path)
         attempts: list[tuple[str, Callable[[], Solution]]] = []
-        if self.settings.matching == "auto" and EXHAUSTIVE < count <= AFFORDABLE:
+        if self.settings.matching == "auto" and MAX_EXHAUSTIVE < count <= MAX_AFFORDABLE:
             attempts.append(("matching every pair", lambda: self._match(path, every_pair(count), False)))
         attempts.append(("trying with weaker matches", lambda: self._map(best, True)))
         attempts.append(("searching for fainter features", lambda: self._search(thorough, thorough=True)))
@@ -141,7 +141,7 @@ class _Solver:
         open_database(path, photographs)
         find_features(photographs, path, self.settings.features, thorough, self.progress, self.turntable)
         check_features(photographs, feature_counts(path, count))
-        every = thorough and matching == "auto" and count <= AFFORDABLE
+        every = thorough and matching == "auto" and count <= MAX_AFFORDABLE
         pairs = every_pair(count) if every else select_pairs(path, count, matching, self.seed)
         return self._match(path, pairs, thorough)
 

@@ -17,7 +17,7 @@ from ..io.srgb import encode_srgb
 from .exif import EXIF_IFD, EXPOSURE_TIME, F_NUMBER, FOCAL, ISO, Orientation, Shot, shot_of
 
 TURNS = {0: 0, 3: 2, 5: 1, 6: 3}  # quarter turns anticlockwise by LibRaw's flip
-RATIO = 64  # largest number of pixels in a byte of a RAW file: even lossy ones have a bit for every few pixels
+MAX_PIXELS_PER_BYTE = 64  # largest number of pixels in a byte of a RAW file: even lossy ones have a bit for every few pixels
 
 
 def decode_raw(path: Path) -> tuple[np.ndarray, Shot]:
@@ -36,7 +36,7 @@ def decode_raw(path: Path) -> tuple[np.ndarray, Shot]:
         with rawpy.imread(str(path)) as raw:
             sizes = raw.sizes
             check_pixels(path, sizes.raw_width, sizes.raw_height)
-            check_filled(path, sizes.raw_width * sizes.raw_height, RATIO * path.stat().st_size)
+            check_filled(path, sizes.raw_width * sizes.raw_height, MAX_PIXELS_PER_BYTE * path.stat().st_size)
             shot = _shot(path, raw)
             linear = raw.postprocess(
                 gamma=(1, 1),

@@ -12,18 +12,18 @@ import pycolmap
 from ..errors import InputError
 from .photograph import LeftOut, Photograph
 
-MINIMUM = 3  # photographs
-FEW_FEATURES = 50  # below, a photograph can hardly be matched
-SMALLEST_PARALLAX = 1.0  # degrees; median over points of the largest angle between two of their rays
-ROTATION_STRETCH = 1.1  # largest ratio of the singular values of a homography that counts as a rotation: focal lengths are not exact
-MOST = 0.8  # fraction of the pairs
+MIN_PHOTOGRAPHS = 3  # photographs
+MIN_FEATURES = 50  # below, a photograph can hardly be matched
+MIN_PARALLAX = 1.0  # degrees; median over points of the largest angle between two of their rays
+MAX_ROTATION_STRETCH = 1.1  # largest ratio of the singular values of a homography that counts as a rotation: focal lengths are not exact
+MAX_PANORAMIC_FRACTION = 0.8  # fraction of the pairs
 KIND = pycolmap.TwoViewGeometryConfiguration
 ADVICE = "take 20 or more photographs around the object, each overlapping the one before by two thirds"
 
 
 def check_count(photographs: Sequence[Photograph]) -> None:
     """Raise InputError if there are too few photographs for poses."""
-    if len(photographs) < MINIMUM:
+    if len(photographs) < MIN_PHOTOGRAPHS:
         raise InputError(_place(photographs), f"{len(photographs)} photographs are too few to find camera poses", ADVICE)
 
 
@@ -37,7 +37,7 @@ def check_features(photographs: Sequence[Photograph], counts: np.ndarray) -> Non
     Raises:
         InputError: if fewer than three photographs have features.
     """
-    if (counts >= FEW_FEATURES).sum() < MINIMUM:
+    if (counts >= MIN_FEATURES).sum() < MIN_PHOTOGRAPHS:
         what = f"the photographs have almost no texture (median {int(np.median(counts))} features), so no camera poses can be found"
         raise InputError(
             _place(photographs), what, "put the object on a patterned surface such as a newspaper, in even light, and focus on it"
@@ -54,7 +54,7 @@ def check_matches(photographs: Sequence[Photograph], inliers: np.ndarray) -> Non
     Raises:
         InputError: if fewer than two pairs of photographs match.
     """
-    if np.count_nonzero(np.triu(inliers)) < MINIMUM - 1:
+    if np.count_nonzero(np.triu(inliers)) < MIN_PHOTOGRAPHS - 1:
         raise InputError(_place(photographs), "the photographs do not show the same surfaces, so no camera poses can be found", ADVICE)
 
 
@@ -73,11 +73,11 @@ def check_model(photographs: Sequence[Photograph], model: pycolmap.Reconstructio
         InputError: if it can't be used.
     """
     where = _place(photographs)
-    if (model is None and panoramic) or (model is not None and parallax(model) < SMALLEST_PARALLAX):
+    if (model is None and panoramic) or (model is not None and parallax(model) < MIN_PARALLAX):
         raise InputError(
             where, "all photographs were taken from nearly the same place, which shows no depth", f"walk around the object: {ADVICE}"
         )
-    if model is None or model.num_reg_images() < MINIMUM:
+    if model is None or model.num_reg_images() < MIN_PHOTOGRAPHS:
         raise InputError(where, "the photographs match in parts, but no camera poses explain them", ADVICE)
     return model
 
@@ -110,8 +110,8 @@ def is_panoramic(path: Path) -> bool:
         one, other = (matrices[number] for number in pycolmap.pair_id_to_image_pair(pair))
         if geometry.config in (KIND.PANORAMIC, KIND.PLANAR_OR_PANORAMIC) and geometry.H is not None:
             values = np.linalg.svd(np.linalg.inv(other) @ geometry.H @ one, compute_uv=False)
-            turned += values[0] < ROTATION_STRETCH * values[2]
-    return turned > MOST * len(pairs)
+            turned += values[0] < MAX_ROTATION_STRETCH * values[2]
+    return turned > MAX_PANORAMIC_FRACTION * len(pairs)
 
 
 def explain_left_out(
@@ -132,7 +132,7 @@ def explain_left_out(
 
 def _reason(i: int, photographs: Sequence[Photograph], members: list[set[int]], counts: np.ndarray, inliers: np.ndarray) -> str:
     partners = [int(j) for j in np.argsort(-inliers[i], kind="stable") if inliers[i, j] > 0]
-    if counts[i] < FEW_FEATURES:
+    if counts[i] < MIN_FEATURES:
         return f"no texture: only {counts[i]} features were found; it may be blurred, dark or plain"
     if not partners:
         return "no match: it shows nothing that another photograph shows"

@@ -21,25 +21,25 @@ from .plane_texture import PlaneTexture, plane_texture
 from .segmentation import edge_weight
 from .support_plane import SupportPlane
 
-MARGIN = 12.0  # errors of a mask around it that are looked at
-FEWEST = 50  # points of the surroundings that make a support plane
-FLAT, UPRIGHT = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
-EVIDENCE = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
-MOST = 6.0  # largest cost of the colours, and that of sure pixels, nats
-PRIOR = 1.0  # cost of cutting against the rendered opacity, nats
-EDGE = 4.0  # cost of a pixel's length of silhouette where the image is flat, nats
+MASK_MARGIN = 12.0  # errors of a mask around it that are looked at
+MIN_PLANE_POINTS = 50  # points of the surroundings that make a support plane
+MAX_PLANE_HEIGHT, MIN_NORMAL_Z = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
+COLOUR_FACTOR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
+MAX_COST = 6.0  # largest cost of the colours, and that of sure pixels, nats
+PRIOR_COST = 1.0  # cost of cutting against the rendered opacity, nats
+EDGE_COST = 4.0  # cost of a pixel's length of silhouette where the image is flat, nats
 ITERATIONS = 100  # of the cut
-COVERAGE = 0.6  # sigma in pixels of the blur that turns a binary mask into coverage
-ALIKE = 0.6  # IoU of both masks of a view below which the first is kept
-LEFT = 0.5  # of the masks' error after the cut
+COVERAGE_SIGMA = 0.6  # sigma in pixels of the blur that turns a binary mask into coverage
+MIN_AGREEMENT = 0.6  # IoU of both masks of a view below which the first is kept
+REMAINING_ERROR = 0.5  # of the masks' error after the cut
 
 
 def support_plane_of(surroundings: Surroundings | None) -> SupportPlane | None:
     """Return the plane Z = 0 of captured surroundings; None where the object does not stand on one."""
     if surroundings is None:
         return None
-    flat = (np.abs(surroundings.position[:, 2]) < FLAT * surroundings.spacing) & (surroundings.normal[:, 2] > UPRIGHT)
-    if flat.sum() < FEWEST:
+    flat = (np.abs(surroundings.position[:, 2]) < MAX_PLANE_HEIGHT * surroundings.spacing) & (surroundings.normal[:, 2] > MIN_NORMAL_Z)
+    if flat.sum() < MIN_PLANE_POINTS:
         return None
     return SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, np.empty((0, 3)))
 
@@ -65,7 +65,7 @@ def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.nda
 def _crop(view: View) -> tuple[slice, slice]:
     """Return rows and columns around a view's mask; all where it is empty."""
     assert view.alpha is not None
-    filled, margin = view.alpha > 0.5, round(MARGIN * view.mask_error)
+    filled, margin = view.alpha > 0.5, round(MASK_MARGIN * view.mask_error)
     if not filled.any():
         return slice(None), slice(None)
     places = (np.flatnonzero(filled.any(axis)) for axis in (1, 0))
@@ -83,11 +83,11 @@ def _colours(texture: PlaneTexture, view: View, crop: tuple[slice, slice], part:
 def _with_mask(view: View, crop: tuple[slice, slice], colours: EdgeColours, evidence: np.ndarray, opacity: np.ndarray) -> View:
     """Cut a view; a mask that changes too much is kept as it was."""
     assert view.alpha is not None
-    cost = np.clip(EVIDENCE * evidence, -MOST, MOST) + PRIOR * (1 - 2 * opacity)
-    cost = np.where(colours.inside, -MOST, np.where(colours.outside, MOST, cost)).astype(np.float32)
-    weight = edge_weight(np.ascontiguousarray(np.clip(view.colour[crop], 0, 1)), EDGE)
+    cost = np.clip(COLOUR_FACTOR * evidence, -MAX_COST, MAX_COST) + PRIOR_COST * (1 - 2 * opacity)
+    cost = np.where(colours.inside, -MAX_COST, np.where(colours.outside, MAX_COST, cost)).astype(np.float32)
+    weight = edge_weight(np.ascontiguousarray(np.clip(view.colour[crop], 0, 1)), EDGE_COST)
     binary = (minimum_cut(cost, weight, opacity, ITERATIONS) > 0.5).astype(np.float32)
     alpha = np.zeros_like(view.alpha)
-    alpha[crop] = cv2.GaussianBlur(binary, (0, 0), COVERAGE)
+    alpha[crop] = cv2.GaussianBlur(binary, (0, 0), COVERAGE_SIGMA)
     both = np.minimum(alpha, view.alpha).sum(), np.maximum(alpha, view.alpha).sum()
-    return view if both[0] <= ALIKE * both[1] else replace(view, alpha=alpha, mask_error=LEFT * view.mask_error)
+    return view if both[0] <= MIN_AGREEMENT * both[1] else replace(view, alpha=alpha, mask_error=REMAINING_ERROR * view.mask_error)

@@ -14,7 +14,7 @@ from ..scene.dataset import Bound, View
 from ..stereo.depth_map import DepthMap
 from .colour_model import count_colours, lab_bins, probabilities
 from .convex_cut import minimum_cut
-from .dense_points import SUPPORT
+from .dense_points import MIN_SUPPORT
 from .ground import Ground
 from .object_region import ObjectRegion
 
@@ -136,7 +136,7 @@ def _sphere_mask(camera: Camera, bound: Bound) -> np.ndarray:
 
 def _depth_seeds(one: DepthMap, region: ObjectRegion, ground: Ground | None) -> np.ndarray:
     """Return seeds (h, w) int8 at the depth map's resolution."""
-    known = one.support >= SUPPORT
+    known = one.support >= MIN_SUPPORT
     points = one.points()
     own = known & (region.labels(points) == 1)
     if ground is not None:

@@ -16,14 +16,17 @@ from ..scene.camera import Camera
 from ..scene.dataset import Bound
 from .support_plane import SupportPlane
 
-COARSE = 40  # cells along the bound's diameter
+COARSE_CELLS = 40  # cells along the bound's diameter
 FINE_PIXELS = 2.0  # largest side of a voxel at the silhouette
-FINEST = 8  # most parts of a coarse cell's side
-LOOSE = 0.35  # fraction of the views that may contradict a coarse cell
-SURE, OUT = 0.03, 0.15  # fraction of contradicting views at which a voxel is surely inside, and surely outside
-SEEN = 0.3  # fraction of the views that must say something about a voxel
-WIDEST = 64  # pixels by which masks are widened or narrowed, at most
-BLUR = 0.8  # pixels, sigma of the silhouettes' blur
+MAX_CELL_PARTS = 8  # most parts of a coarse cell's side
+MAX_COARSE_CONTRADICTION = 0.35  # fraction of the views that may contradict a coarse cell
+INSIDE_CONTRADICTION, OUTSIDE_CONTRADICTION = (
+    0.03,
+    0.15,
+)  # fraction of contradicting views at which a voxel is surely inside, and surely outside
+MIN_SEEN_FRACTION = 0.3  # fraction of the views that must say something about a voxel
+MAX_WIDENING = 64  # pixels by which masks are widened or narrowed, at most
+SILHOUETTE_BLUR = 0.8  # pixels, sigma of the silhouettes' blur
 
 
 @dataclass(frozen=True, eq=False)
@@ -80,7 +83,7 @@ class SoftHull:
                 misses, views = misses.copy(), views.copy()
                 _add_votes(0, len(misses), level.centres, matrix, mask, -np.float32(self.weights[own]), _closed(mask), misses, views)
             _splat(level.centres, np.float32(0.5 * level.step * camera.fx), matrix, _occupancy(misses, views), image)
-        return cv2.GaussianBlur(image, (0, 0), BLUR)
+        return cv2.GaussianBlur(image, (0, 0), SILHOUETTE_BLUR)
 
 
 def soft_hull(
@@ -101,28 +104,28 @@ def soft_hull(
         The hull, None where no voxel is left.
     """
     bytes_ = [None if mask is None else np.round(254 * np.clip(mask, 0, 1)).astype(np.uint8) for mask in masks]
-    step = 2 * bound.radius / COARSE
+    step = 2 * bound.radius / COARSE_CELLS
     sides = np.array([step * camera.fx / max(float(camera.project(np.asarray(bound.centre)[None])[1][0]), 1e-9) for camera in cameras])
     cells = _cells(bound, step, plane)
     loose = _voted(cells, step, cameras, _resized(bytes_, 0.87 * sides), weights)
-    cells = cells[(loose.misses < LOOSE * loose.views) & (loose.views > SEEN * weights.sum())]
+    cells = cells[(loose.misses < MAX_COARSE_CONTRADICTION * loose.views) & (loose.views > MIN_SEEN_FRACTION * weights.sum())]
     strict = _voted(cells, step, cameras, _resized(bytes_, -0.87 * sides), weights)
-    inner = (strict.misses < SURE * strict.views) & (strict.views > SEEN * weights.sum())
-    parts = int(np.clip(np.ceil(np.median(sides) / FINE_PIXELS), 2, FINEST))
+    inner = (strict.misses < INSIDE_CONTRADICTION * strict.views) & (strict.views > MIN_SEEN_FRACTION * weights.sum())
+    parts = int(np.clip(np.ceil(np.median(sides) / FINE_PIXELS), 2, MAX_CELL_PARTS))
     offsets = (np.stack(np.meshgrid(*[np.arange(parts)] * 3, indexing="ij"), -1).reshape(-1, 3) + 0.5) / parts - 0.5
     fine = (cells[~inner][:, None] + step * offsets).reshape(-1, 3)
     if plane is not None:
         fine = fine[plane.height(fine) > 0]
     narrowed = _resized(bytes_, -0.5 * sides / parts)
     voxels = _voted(fine, step / parts, cameras, narrowed, weights)
-    voxels = voxels.select((voxels.misses < OUT * voxels.views) & (voxels.views > SEEN * weights.sum()))
+    voxels = voxels.select((voxels.misses < OUTSIDE_CONTRADICTION * voxels.views) & (voxels.views > MIN_SEEN_FRACTION * weights.sum()))
     hull = SoftHull([strict.select(inner), voxels], narrowed, weights)
     return hull if inner.any() or len(voxels.centres) else None
 
 
 def _cells(bound: Bound, step: float, plane: SupportPlane | None) -> np.ndarray:
     """Return the centres (N, 3) of the coarse cells that fill a sphere above the plane."""
-    axis = (np.arange(COARSE) + 0.5) * step - bound.radius
+    axis = (np.arange(COARSE_CELLS) + 0.5) * step - bound.radius
     cells = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), -1).reshape(-1, 3)
     cells = cells[np.linalg.norm(cells, axis=1) < bound.radius + step] + bound.centre
     return cells if plane is None else cells[plane.height(cells) > -step]
@@ -131,12 +134,12 @@ def _cells(bound: Bound, step: float, plane: SupportPlane | None) -> np.ndarray:
 def _occupancy(misses: np.ndarray, views: np.ndarray) -> np.ndarray:
     """Return (N,) float32 0..1, how surely voxels are inside."""
     share = misses / np.maximum(views, 1e-6)
-    return np.clip((OUT - share) / (OUT - SURE), 0, 1).astype(np.float32)
+    return np.clip((OUTSIDE_CONTRADICTION - share) / (OUTSIDE_CONTRADICTION - INSIDE_CONTRADICTION), 0, 1).astype(np.float32)
 
 
 def _resized(masks: Sequence[np.ndarray | None], pixels: np.ndarray) -> list[np.ndarray | None]:
     """Return masks (H, W) uint8 that are widened (> 0) or narrowed (< 0) by pixels (V,), rounded."""
-    reaches = np.clip(pixels, -WIDEST, WIDEST)
+    reaches = np.clip(pixels, -MAX_WIDENING, MAX_WIDENING)
     return [None if mask is None else grown_mask(mask, reach) for mask, reach in zip(masks, reaches, strict=True)]
 
 

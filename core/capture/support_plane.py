@@ -14,20 +14,22 @@ from ..scene.voxel_means import voxel_means
 from .dense_points import DensePoints
 
 HYPOTHESES = 400  # planes through one point with its normal
-REFINED = 24  # best of them that are fitted to their inliers
-ROUNDS = 4  # fits of each
-VOXEL = 2.0  # pixels (see DensePoints.pixel) in which points are averaged, so that near surfaces don't count more than far ones
-REACH = 0.8  # distances of the cameras around the look-at point in which points count
-NEAR = 0.3  # distances of the cameras at which an inlier's weight is a half
-TOLERANCE = 1.5  # pixels from the plane up to which a point is an inlier
-FLAT = np.cos(np.radians(25.0))  # of the angle between an inlier's normal and the plane's
-ABOVE = 0.95  # fraction of the cameras that must be on the plane's upper side
-SIDEWAYS = 0.3  # weight of a wall against that of a table: photographs are held upright
-FEWEST = 200  # averaged points on a plane
-HEIGHT = 4.0  # pixels above or below the plane from which a point is not on it
-STANDING = 0.02  # points above the plane's middle over its inliers from which something stands on it
-BENEATH = 0.5  # points below the plane's middle over those above it from which the plane is a face of the object
-THROUGH = 0.1  # points right below the plane's extent over those above its middle from which it is no table: cameras can't see through one
+REFINED_HYPOTHESES = 24  # best of them that are fitted to their inliers
+FIT_ROUNDS = 4  # fits of each
+VOXEL_PIXELS = 2.0  # pixels (see DensePoints.pixel) in which points are averaged, so that near surfaces don't count more than far ones
+POINT_REACH = 0.8  # distances of the cameras around the look-at point in which points count
+HALF_WEIGHT_DISTANCE = 0.3  # distances of the cameras at which an inlier's weight is a half
+INLIER_PIXELS = 1.5  # pixels from the plane up to which a point is an inlier
+MIN_NORMAL_COSINE = np.cos(np.radians(25.0))  # of the angle between an inlier's normal and the plane's
+MIN_ABOVE_FRACTION = 0.95  # fraction of the cameras that must be on the plane's upper side
+WALL_WEIGHT = 0.3  # weight of a wall against that of a table: photographs are held upright
+MIN_PLANE_POINTS = 200  # averaged points on a plane
+OFF_PLANE_PIXELS = 4.0  # pixels above or below the plane from which a point is not on it
+MIN_STANDING_RATIO = 0.02  # points above the plane's middle over its inliers from which something stands on it
+MAX_BENEATH_RATIO = 0.5  # points below the plane's middle over those above it from which the plane is a face of the object
+MAX_THROUGH_RATIO = (
+    0.1  # points right below the plane's extent over those above its middle from which it is no table: cameras can't see through one
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,7 +76,7 @@ class _Scene:
 
     def inliers(self, normal: np.ndarray, offset: float, tolerance: float) -> np.ndarray:
         """Return (N,) True for the points on a plane whose normals agree with it."""
-        return (np.abs(self.position @ normal - offset) < tolerance) & (self.normal @ normal > FLAT)
+        return (np.abs(self.position @ normal - offset) < tolerance) & (self.normal @ normal > MIN_NORMAL_COSINE)
 
 
 def find_support_plane(dense: DensePoints, cameras: Sequence[Camera], seed: int) -> SupportPlane | None:
@@ -93,7 +95,7 @@ def find_support_plane(dense: DensePoints, cameras: Sequence[Camera], seed: int)
         The plane, or None where there is none.
     """
     scene = _near_points(dense)
-    if len(scene.position) < FEWEST:
+    if len(scene.position) < MIN_PLANE_POINTS:
         return None
     centres = np.stack([camera.centre for camera in cameras])
     upright = np.mean([camera.to_world[:3, 1] for camera in cameras], 0)
@@ -101,10 +103,10 @@ def find_support_plane(dense: DensePoints, cameras: Sequence[Camera], seed: int)
     best, found = 0.0, None
     for normal, offset in _hypotheses(scene, centres, np.random.default_rng([seed, 1])):
         plane = _fitted(scene, normal, offset)
-        if plane is None or (centres @ plane[0] - plane[1] > scene.tolerance).mean() < ABOVE:
+        if plane is None or (centres @ plane[0] - plane[1] > scene.tolerance).mean() < MIN_ABOVE_FRACTION:
             continue
         on = scene.inliers(*plane, scene.tolerance)
-        score = scene.weight[on].sum() * (SIDEWAYS + (1 - SIDEWAYS) * max(float(plane[0] @ upright), 0.0))
+        score = scene.weight[on].sum() * (WALL_WEIGHT + (1 - WALL_WEIGHT) * max(float(plane[0] @ upright), 0.0))
         if score > best and (one := _described(scene, *plane, on)) is not None and _carries(scene, one, dense):
             best, found = score, one
     return found
@@ -114,14 +116,17 @@ def _near_points(dense: DensePoints) -> _Scene:
     """Average the points around the look-at point in voxels."""
     points = dense.points
     reach = np.linalg.norm(points.position - dense.target, axis=1)
-    position, normal = points.position[reach < REACH * dense.distance].astype(np.float64), points.normal[reach < REACH * dense.distance]
+    position, normal = (
+        points.position[reach < POINT_REACH * dense.distance].astype(np.float64),
+        points.normal[reach < POINT_REACH * dense.distance],
+    )
     if not len(position):
         return _Scene(position, normal, np.empty(0), 0.0)
-    cells = np.floor((position - position.min(0)) / (VOXEL * dense.pixel)).astype(np.int64)
+    cells = np.floor((position - position.min(0)) / (VOXEL_PIXELS * dense.pixel)).astype(np.int64)
     (position, normal), _ = voxel_means(cells, (position, normal))
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
-    weight = 1 / (1 + (np.linalg.norm(position - dense.target, axis=1) / (NEAR * dense.distance)) ** 2)
-    return _Scene(position, normal, weight, TOLERANCE * dense.pixel)
+    weight = 1 / (1 + (np.linalg.norm(position - dense.target, axis=1) / (HALF_WEIGHT_DISTANCE * dense.distance)) ** 2)
+    return _Scene(position, normal, weight, INLIER_PIXELS * dense.pixel)
 
 
 def _hypotheses(scene: _Scene, centres: np.ndarray, rng: np.random.Generator) -> list[tuple[np.ndarray, float]]:
@@ -133,17 +138,17 @@ def _hypotheses(scene: _Scene, centres: np.ndarray, rng: np.random.Generator) ->
     for i in picks:
         normal = scene.normal[i]
         offset = float(scene.position[i] @ normal)
-        if (centres @ normal > offset).mean() >= ABOVE:
+        if (centres @ normal > offset).mean() >= MIN_ABOVE_FRACTION:
             ranked.append((float(part.weight[part.inliers(normal, offset, 3 * scene.tolerance)].sum()), normal, offset))
     ranked.sort(key=lambda one: -one[0])
-    return [(normal, offset) for _, normal, offset in ranked[:REFINED]]
+    return [(normal, offset) for _, normal, offset in ranked[:REFINED_HYPOTHESES]]
 
 
 def _fitted(scene: _Scene, normal: np.ndarray, offset: float) -> tuple[np.ndarray, float] | None:
     """Fit a plane to its inliers again and again, with a shrinking tolerance; None where too few are left."""
-    for tolerance in scene.tolerance * np.linspace(3, 1, ROUNDS):
+    for tolerance in scene.tolerance * np.linspace(3, 1, FIT_ROUNDS):
         on = scene.inliers(normal, offset, tolerance)
-        if on.sum() < FEWEST:
+        if on.sum() < MIN_PLANE_POINTS:
             return None
         weight = scene.weight[on] / scene.weight[on].sum()
         centre = weight @ scene.position[on]
@@ -168,9 +173,13 @@ def _described(scene: _Scene, normal: np.ndarray, offset: float, on: np.ndarray)
 
 def _carries(scene: _Scene, plane: SupportPlane, dense: DensePoints) -> bool:
     """Return True where something stands on the plane near the look-at point, and hardly anything lies below it there."""
-    near = scene.position[np.linalg.norm(scene.position - dense.target, axis=1) < NEAR * dense.distance]
+    near = scene.position[np.linalg.norm(scene.position - dense.target, axis=1) < HALF_WEIGHT_DISTANCE * dense.distance]
     height = plane.height(near)
-    above = int(plane.over(near[height > HEIGHT * dense.pixel]).sum())
-    under = near[height < -HEIGHT * dense.pixel]
+    above = int(plane.over(near[height > OFF_PLANE_PIXELS * dense.pixel]).sum())
+    under = near[height < -OFF_PLANE_PIXELS * dense.pixel]
     on = int((np.abs(height) < scene.tolerance).sum())
-    return above > STANDING * on and len(under) < BENEATH * above and int(plane.over(under).sum()) < THROUGH * above
+    return (
+        above > MIN_STANDING_RATIO * on
+        and len(under) < MAX_BENEATH_RATIO * above
+        and int(plane.over(under).sum()) < MAX_THROUGH_RATIO * above
+    )

@@ -13,26 +13,28 @@ from PIL import Image
 
 from .photograph import LeftOut
 
-SIDE = 640  # longest side at which blur is measured, pixels: blur that vanishes there does no harm
-THUMBNAIL = 320  # longest side at which displacements are measured, pixels
+BLUR_SIDE = 640  # longest side at which blur is measured, pixels: blur that vanishes there does no harm
+THUMBNAIL_SIDE = 320  # longest side at which displacements are measured, pixels
 DIRECTIONS = 8  # in which gradients are measured, in half a turn: motion blurs one of them
-DARKEST, BRIGHTEST = 10, 250  # grey levels between which tones are usable
-FEWEST_TONES = 0.02  # fraction of pixels with such tones
-DARK, LIGHT = 64, 192  # grey levels below which, and above which, such a photograph is called black or white
-LEAST_CONTRAST = 8.0  # grey levels between the 1st and 99th percentile
-BLURRED = 0.65  # octaves of the energy ratio below the median: a streak of 4 pixels at SIDE, or a Gaussian of 1 pixel
-DEVIATIONS = 3.5  # as many standard deviations of the set below, at least
-GROUP = 5  # photographs of a lens from which on they are compared among themselves
-SOFT = -1.45  # median log2 energy ratio below which all photographs are blurred; sharp sets have -0.2 to -0.9
-TINY = 16  # side of the images that are compared all with all, pixels
-SIMILAR = 0.95  # normalised correlation of these above which displacements are measured; a displacement of MOVED leaves 0.99
-FEATURES, FEWEST, WINDOW = 300, 30, 15  # tracked corners, fewest of them, and side of their windows in pixels
-TRACKED = 0.95  # fraction of corners that must be found again, forwards and backwards, within RETURN pixels
-RETURN = 0.5
-MOVED = 4.0  # median displacement up to which photographs are near-identical, pixels of THUMBNAIL
-STILL = 98  # percentage of the corners that must not move beyond a homography: an object on a turntable may be small
-PARALLAX = 0.6  # up to which they do not, pixels of THUMBNAIL: the noise of tracking is half of it
-CLEARER = 0.15  # octaves by which the second photograph must be sharper to be kept in place of the first
+DARKEST_TONE, BRIGHTEST_TONE = 10, 250  # grey levels between which tones are usable
+MIN_TONES_FRACTION = 0.02  # fraction of pixels with such tones
+BLACK_LEVEL, WHITE_LEVEL = 64, 192  # grey levels below which, and above which, such a photograph is called black or white
+MIN_CONTRAST = 8.0  # grey levels between the 1st and 99th percentile
+BLURRED_OCTAVES = 0.65  # octaves of the energy ratio below the median: a streak of 4 pixels at BLUR_SIDE, or a Gaussian of 1 pixel
+BLURRED_DEVIATIONS = 3.5  # as many standard deviations of the set below, at least
+MIN_GROUP = 5  # photographs of a lens from which on they are compared among themselves
+MIN_MEDIAN_ENERGY = -1.45  # median log2 energy ratio below which all photographs are blurred; sharp sets have -0.2 to -0.9
+TINY_SIDE = 16  # side of the images that are compared all with all, pixels
+MIN_CORRELATION = (
+    0.95  # normalised correlation of these above which displacements are measured; a displacement of MAX_IDENTICAL_MOVE leaves 0.99
+)
+MAX_CORNERS, MIN_CORNERS, TRACKING_WINDOW = 300, 30, 15  # tracked corners, fewest of them, and side of their windows in pixels
+MIN_TRACKED_FRACTION = 0.95  # fraction of corners that must be found again, forwards and backwards, within MAX_RETURN_ERROR pixels
+MAX_RETURN_ERROR = 0.5
+MAX_IDENTICAL_MOVE = 4.0  # median displacement up to which photographs are near-identical, pixels of THUMBNAIL_SIDE
+STILL_PERCENTAGE = 98  # percentage of the corners that must not move beyond a homography: an object on a turntable may be small
+MAX_STILL_PARALLAX = 0.6  # up to which they do not, pixels of THUMBNAIL_SIDE: the noise of tracking is half of it
+MIN_SHARPER_OCTAVES = 0.15  # octaves by which the second photograph must be sharper to be kept in place of the first
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,7 +42,7 @@ class Appearance:
     """Measures of a photograph.
 
     Attributes:
-        grey: (h, w) uint8 thumbnail with a longest side of THUMBNAIL at most.
+        grey: (h, w) uint8 thumbnail with a longest side of THUMBNAIL_SIDE at most.
         sharpness: (DIRECTIONS,) log2 of the gradient energy in the finest octave over that in the next.
         fault: reason why it has nothing to see; else empty.
     """
@@ -57,7 +59,7 @@ def read_appearance(path: Path) -> Appearance:
         path: JPEG or PNG of the capture's folder.
     """
     with Image.open(path) as image:
-        image.draft("L", (SIDE, SIDE))
+        image.draft("L", (BLUR_SIDE, BLUR_SIDE))
         deep = image.mode.startswith("I")
         grey = np.asarray(image if deep else image.convert("L"))
     return appearance((grey >> 8).astype(np.uint8) if deep else grey)
@@ -69,13 +71,15 @@ def appearance(grey: np.ndarray) -> Appearance:
     Args:
         grey: (H, W) uint8.
     """
-    grey = _reduced(grey, SIDE)
-    usable = np.mean((grey > DARKEST) & (grey < BRIGHTEST))
+    grey = _reduced(grey, BLUR_SIDE)
+    usable = np.mean((grey > DARKEST_TONE) & (grey < BRIGHTEST_TONE))
     low, high = np.percentile(grey, [1, 99])
     fault = ""
-    if usable < FEWEST_TONES or high - low < LEAST_CONTRAST:
-        fault = "black: underexposed" if high < DARK else "white: overexposed" if low > LIGHT else "uniform: nothing is visible"
-    return Appearance(_reduced(grey, THUMBNAIL), _sharpness(grey), fault)
+    if usable < MIN_TONES_FRACTION or high - low < MIN_CONTRAST:
+        fault = (
+            "black: underexposed" if high < BLACK_LEVEL else "white: overexposed" if low > WHITE_LEVEL else "uniform: nothing is visible"
+        )
+    return Appearance(_reduced(grey, THUMBNAIL_SIDE), _sharpness(grey), fault)
 
 
 def unusable(names: list[str], lenses: list[str], seen: list[Appearance]) -> tuple[list[LeftOut], list[str]]:
@@ -95,7 +99,7 @@ def unusable(names: list[str], lenses: list[str], seen: list[Appearance]) -> tup
     blurred = {rest[i]: b for i, b in _blurred([seen[i] for i in rest], [lenses[i] for i in rest]).items()}
     if len(blurred) > len(rest) / 2:
         blurred = {}
-    if rest and np.median([seen[i].sharpness.mean() for i in rest]) < SOFT:
+    if rest and np.median([seen[i].sharpness.mean() for i in rest]) < MIN_MEDIAN_ENERGY:
         warnings.append("the photographs are blurred or out of focus as a whole: fine detail will be missing")
     faults |= {i: f"blurred: {2**octaves:.1f} times less fine detail than the others" for i, octaves in blurred.items()}
     sharp = [i for i in rest if i not in faults]
@@ -138,11 +142,11 @@ def _blurred(seen: list[Appearance], lenses: list[str]) -> dict[int, float]:
     counts, found = Counter(lenses), {}
     every = np.stack([a.sharpness for a in seen])
     for i, lens in enumerate(lenses):
-        own = every if counts[lens] < GROUP else every[[other == lens for other in lenses]]
+        own = every if counts[lens] < MIN_GROUP else every[[other == lens for other in lenses]]
         below = np.median(own, 0) - own
         spread = 1.4826 * np.median(np.abs(below.max(1) - np.median(below.max(1))))
         worst = float((np.median(own, 0) - every[i]).max())
-        if worst > max(BLURRED, DEVIATIONS * spread):
+        if worst > max(BLURRED_OCTAVES, BLURRED_DEVIATIONS * spread):
             found[i] = worst
     return found
 
@@ -153,7 +157,7 @@ def _twins(chosen: list[int], seen: list[Appearance]) -> dict[int, int]:
     for first, second in _similar_pairs(chosen, seen):
         if first in replaced or second in replaced or not same_place(seen[first].grey, seen[second].grey):
             continue
-        better = seen[second].sharpness.mean() > seen[first].sharpness.mean() + CLEARER
+        better = seen[second].sharpness.mean() > seen[first].sharpness.mean() + MIN_SHARPER_OCTAVES
         replaced[first if better else second] = second if better else first
     return replaced
 
@@ -162,10 +166,12 @@ def _similar_pairs(chosen: list[int], seen: list[Appearance]) -> list[tuple[int,
     """Return pairs of photographs of equal size whose tiny images correlate."""
     if len(chosen) < 2:
         return []
-    tiny = np.stack([cv2.resize(seen[i].grey, (TINY, TINY), interpolation=cv2.INTER_AREA).ravel() for i in chosen]).astype(np.float32)
+    tiny = np.stack([cv2.resize(seen[i].grey, (TINY_SIDE, TINY_SIDE), interpolation=cv2.INTER_AREA).ravel() for i in chosen]).astype(
+        np.float32
+    )
     tiny -= tiny.mean(1, keepdims=True)
     tiny /= np.maximum(np.linalg.norm(tiny, axis=1, keepdims=True), 1e-6)
-    pairs = np.argwhere(np.triu(tiny @ tiny.T, 1) > SIMILAR)
+    pairs = np.argwhere(np.triu(tiny @ tiny.T, 1) > MIN_CORRELATION)
     return [(chosen[i], chosen[j]) for i, j in pairs if seen[chosen[i]].grey.shape == seen[chosen[j]].grey.shape]
 
 
@@ -177,20 +183,20 @@ def same_place(first: np.ndarray, second: np.ndarray) -> bool:
         second: (h, w) uint8.
     """
     first, second = cv2.equalizeHist(first), cv2.equalizeHist(second)  # exposures may differ
-    corners = cv2.goodFeaturesToTrack(first, FEATURES, 0.01, 5)
-    if corners is None or len(corners) < FEWEST:
+    corners = cv2.goodFeaturesToTrack(first, MAX_CORNERS, 0.01, 5)
+    if corners is None or len(corners) < MIN_CORNERS:
         return False
-    size = (WINDOW, WINDOW)
+    size = (TRACKING_WINDOW, TRACKING_WINDOW)
     there, found, _ = cv2.calcOpticalFlowPyrLK(first, second, corners, None, winSize=size)  # pyright: ignore[reportCallIssue, reportArgumentType]
     back, again, _ = cv2.calcOpticalFlowPyrLK(second, first, there, None, winSize=size)  # pyright: ignore[reportCallIssue, reportArgumentType]
-    kept = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.linalg.norm((corners - back)[:, 0], axis=1) < RETURN)
-    if kept.mean() < TRACKED or kept.sum() < FEWEST:
+    kept = (found[:, 0] > 0) & (again[:, 0] > 0) & (np.linalg.norm((corners - back)[:, 0], axis=1) < MAX_RETURN_ERROR)
+    if kept.mean() < MIN_TRACKED_FRACTION or kept.sum() < MIN_CORNERS:
         return False
     start, end = corners[kept, 0], there[kept, 0]
-    if np.median(np.linalg.norm(end - start, axis=1)) > MOVED:
+    if np.median(np.linalg.norm(end - start, axis=1)) > MAX_IDENTICAL_MOVE:
         return False
     plane, _ = cv2.findHomography(start, end, cv2.RANSAC, 1.0)
     if plane is None:
         return False
     left = np.linalg.norm(cv2.perspectiveTransform(start[:, None], plane)[:, 0] - end, axis=1)
-    return bool(np.percentile(left, STILL) < PARALLAX)
+    return bool(np.percentile(left, STILL_PERCENTAGE) < MAX_STILL_PARALLAX)

@@ -20,12 +20,12 @@ from ..progress.protocol import Progress
 from .exif import Orientation
 from .video_colour import frame_to_srgb
 
-SIDE = 640  # longest side at which sharpness is measured, pixels
-BURST = 10  # frames that are decoded for each one that is taken of a long video
-LONG = 1.5 * BURST  # frames for each one that is taken from which on a video is long
-WITH_KEYFRAME = 0.9  # fraction of the windows that must have a keyframe for bursts
-MISSING = 0.9  # fraction of the stated duration before which a video ends early
-PROBLEMS = 100  # packets that can't be decoded after which a video is given up
+SHARPNESS_SIDE = 640  # longest side at which sharpness is measured, pixels
+BURST_FRAMES = 10  # frames that are decoded for each one that is taken of a long video
+LONG_VIDEO_FRAMES = 1.5 * BURST_FRAMES  # frames for each one that is taken from which on a video is long
+MIN_KEYFRAME_FRACTION = 0.9  # fraction of the windows that must have a keyframe for bursts
+MIN_DURATION_FRACTION = 0.9  # fraction of the stated duration before which a video ends early
+MAX_PROBLEMS = 100  # packets that can't be decoded after which a video is given up
 FIX = "copy the video again, or convert it to MP4"
 
 
@@ -66,13 +66,13 @@ class Timing:
     def in_bursts(self, count: int) -> bool:
         """Return True for a long video of which only the frames after keyframes need decoding."""
         windows = {self.window(t, count) for t in self.keyframes}
-        return self.duration * self.rate > LONG * count and len(windows) >= WITH_KEYFRAME * count
+        return self.duration * self.rate > LONG_VIDEO_FRAMES * count and len(windows) >= MIN_KEYFRAME_FRACTION * count
 
 
 def sharp_frames(path: Path, count: int, progress: Progress) -> Iterator[VideoFrame]:
     """Yield the sharpest frame of each of `count` equal windows of time; the video is read once, one frame at a time.
 
-    Sharpness is the variance of the Laplacian. Of a long video, only BURST frames after a keyframe are decoded in each window.
+    Sharpness is the variance of the Laplacian. Of a long video, only BURST_FRAMES frames after a keyframe are decoded in each window.
 
     Args:
         path: the video.
@@ -124,7 +124,7 @@ def _sharpest(path: Path, container: Any, stream: Any, count: int, progress: Pro
     if best is None:
         raise InputError(path, "has no frame that can be decoded", FIX)
     yield _upright(best[2], max(round((best[1] - timing.start) * timing.rate), number + 1))
-    if last - timing.start < MISSING * timing.duration - 1 / timing.rate:
+    if last - timing.start < MIN_DURATION_FRACTION * timing.duration - 1 / timing.rate:
         progress.message(f"{path.name}: ends after {last - timing.start:.1f} of {timing.duration:.1f} seconds; the frames before are used")
 
 
@@ -153,7 +153,7 @@ def _decoded(path: Path, container: Any, stream: Any, timing: Timing, count: int
     """Yield (time, frame) of the frames to choose from in the order of presentation."""
     stream.thread_type = "AUTO"
     bursts = timing.in_bursts(count)
-    if not bursts and timing.duration * timing.rate > LONG * count:
+    if not bursts and timing.duration * timing.rate > LONG_VIDEO_FRAMES * count:
         stream.codec_context.skip_frame = "NONREF"  # such frames are decoded for themselves alone
     time = timing.start
     for frame in _in_bursts(container, stream, timing, count) if bursts else _frames(container, stream, path, progress):
@@ -172,21 +172,21 @@ def _frames(container: Any, stream: Any, path: Path, progress: Progress) -> Iter
             yield from packet.decode()
         except av.error.FFmpegError:
             problems += 1
-            if problems > PROBLEMS:
+            if problems > MAX_PROBLEMS:
                 break
     if problems:
         progress.message(f"{path.name}: is damaged; {problems} parts of it could not be decoded")
 
 
 def _in_bursts(container: Any, stream: Any, timing: Timing, count: int) -> Iterator[Any]:
-    """Yield BURST frames from the first keyframe of each window on."""
+    """Yield BURST_FRAMES frames from the first keyframe of each window on."""
     done, left, first = -1, 0, 0
     for packet in _packets(container, stream):
         if packet.pts is None:
             continue
         window = timing.window(float(packet.pts * stream.time_base), count)
         if packet.is_keyframe and window > done and not left:
-            done, left, first = window, BURST, packet.pts
+            done, left, first = window, BURST_FRAMES, packet.pts
         if left:
             left -= 1
             yield from (f for f in _decode(stream, packet, not left) if f.pts is None or f.pts >= first)
@@ -217,7 +217,7 @@ def _packets(container: Any, stream: Any) -> Iterator[Any]:
 
 def _sharpness(frame: Any) -> float:
     """Return the variance of the Laplacian of a reduced grey frame."""
-    scale = min(SIDE / max(frame.width, frame.height), 1)
+    scale = min(SHARPNESS_SIDE / max(frame.width, frame.height), 1)
     size = {"width": max(round(frame.width * scale), 1), "height": max(round(frame.height * scale), 1)}
     grey = frame.to_ndarray(format="gray", interpolation=Interpolation.AREA, **size)
     return float(cv2.Laplacian(grey, cv2.CV_32F).var())

@@ -36,16 +36,16 @@ from .report import DetailReport
 from .sharpness import relative_blur
 from .vertex_shading import VertexShading, ViewShading
 
-FINER = 1.25  # size of a photograph over that at the working resolution, from which it may hold detail that the Gaussians don't
-FEWEST_VIEWS = 3  # photographs from which albedo can be told from what one of them shows by chance
-HELD_BACK = 8  # one photograph in so many is held back as evidence
-MOST_HELD = 3  # photographs held back at most
+MIN_SIZE_RATIO = 1.25  # size of a photograph over that at the working resolution, from which it may hold detail that the Gaussians don't
+MIN_PHOTOGRAPHS = 3  # photographs from which albedo can be told from what one of them shows by chance
+HELD_BACK_EVERY = 8  # one photograph in so many is held back as evidence
+MAX_HELD_BACK = 3  # photographs held back at most
 CHUNK = 1 << 20  # texels that are encoded at a time
-ALIGNED = 1024  # largest side of the texture to which photographs are aligned, texels
+MAX_ALIGNED_TEXTURE = 1024  # largest side of the texture to which photographs are aligned, texels
 DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
 # Weight of a texel's best photograph from which the texel takes all of its colour from the photographs, as a fraction of the median of
 # this weight over the mesh. Below, it is mixed with the working solution.
-CERTAIN = 0.3
+CERTAIN_WEIGHT_RATIO = 0.3
 
 
 class AlbedoDetail:
@@ -79,7 +79,7 @@ class AlbedoDetail:
             photographs: those that the texture is made from.
             step: called with the number of photographs done; may raise.
         """
-        size = min(self._texels.size, ALIGNED)
+        size = min(self._texels.size, MAX_ALIGNED_TEXTURE)
         texels = mesh_texels(self._mesh, size)
         candidates = Candidates.empty(len(texels.index))
         for number, photograph in enumerate(photographs):
@@ -175,7 +175,7 @@ class AlbedoDetail:
         colours = np.empty((len(index), 3), np.uint8)
         for begin in range(0, len(index), CHUNK):
             part = slice(begin, begin + CHUNK)
-            certain = np.clip(best[part] / (CERTAIN * usual), 0, 1)[:, None]
+            certain = np.clip(best[part] / (CERTAIN_WEIGHT_RATIO * usual), 0, 1)[:, None]
             plain = self._albedo.reshape(-1, 3)[index[part]]
             colours[part] = srgb_eight_bits(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
         size = self._texels.size
@@ -218,14 +218,14 @@ def detailed(
     if choice == "off":
         return mesh, DetailReport(False, "turned off")
     photographs = _readable(photographs, progress)
-    if len(photographs) < FEWEST_VIEWS:
+    if len(photographs) < MIN_PHOTOGRAPHS:
         return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
-    if choice == "auto" and np.median([one.finer for one in photographs]) < FINER:
+    if choice == "auto" and np.median([one.finer for one in photographs]) < MIN_SIZE_RATIO:
         # Relief that the Gaussians shade would become albedo, and nothing be gained.
         return mesh, DetailReport(False, "the photographs are not larger than the working resolution (data.resolution)")
     progress.phase("detail", 2 * len(photographs))
     step = stoppable(progress)
-    every = max(HELD_BACK, -(-len(photographs) // MOST_HELD))
+    every = max(HELD_BACK_EVERY, -(-len(photographs) // MAX_HELD_BACK))
     held = list(photographs[every // 2 :: every]) or [photographs[0]]
     others = [one for one in photographs if one not in held]
     work = AlbedoDetail(mesh, reconstruction)

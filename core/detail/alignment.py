@@ -13,12 +13,12 @@ from .photographs import LoadedPhotograph
 from .radiometric_correction import RadiometricCorrection
 from .vertex_shading import ViewShading
 
-SIDE = 1280  # longest side of the images that are aligned, pixels
-FARTHEST = 3.0  # pixels of the working resolution; more is no small error
-SMOOTH = 0.012  # standard deviation of the displacement's filter, as a fraction of the longest side
-CONTRAST = 0.02  # standard deviation of encoded albedo around a pixel at which its displacement counts half
-CLOSER = 0.98  # difference after the displacement over that before, below which it is used
-PATCH = 5.0  # standard deviation of that neighbourhood, pixels
+MAX_SIDE = 1280  # longest side of the images that are aligned, pixels
+MAX_DISPLACEMENT = 3.0  # pixels of the working resolution; more is no small error
+SMOOTHING_FRACTION = 0.012  # standard deviation of the displacement's filter, as a fraction of the longest side
+HALF_WEIGHT_CONTRAST = 0.02  # standard deviation of encoded albedo around a pixel at which its displacement counts half
+MAX_DIFFERENCE_RATIO = 0.98  # difference after the displacement over that before, below which it is used
+PATCH_SIGMA = 5.0  # standard deviation of that neighbourhood, pixels
 
 
 def displacement(
@@ -49,13 +49,13 @@ def displacement(
     before, after = ((255 * image).astype(np.uint8) for image in (shown, seen))
     flow = search.calc(before, after, np.zeros((*before.shape, 2), np.float32))
     scale = working.width / camera.width
-    weight = inside * _confidence(shown) * (np.linalg.norm(flow, axis=-1) * scale < FARTHEST)
-    sigma = SMOOTH * max(camera.width, camera.height)
+    weight = inside * _confidence(shown) * (np.linalg.norm(flow, axis=-1) * scale < MAX_DISPLACEMENT)
+    sigma = SMOOTHING_FRACTION * max(camera.width, camera.height)
     layers = np.dstack([flow * weight[..., None], weight]).astype(np.float32)
     layers = cv2.GaussianBlur(cv2.resize(layers, (working.width, working.height), interpolation=cv2.INTER_AREA), (0, 0), sigma * scale)
     smooth = layers[..., :2] / np.maximum(layers[..., 2:], 1e-3)
     before, after = _differences(shown, seen, inside, cv2.resize(smooth, (camera.width, camera.height), interpolation=cv2.INTER_LINEAR))
-    if after > CLOSER * before:
+    if after > MAX_DIFFERENCE_RATIO * before:
         return np.zeros((working.height, working.width, 2), np.float32)
     return (scale * smooth).astype(np.float32)
 
@@ -69,9 +69,9 @@ def _differences(shown: np.ndarray, seen: np.ndarray, inside: np.ndarray, flow: 
 
 
 def _enlarged(camera: Camera, full: tuple[int, int]) -> Camera:
-    """Return the camera at the resolution of the alignment: at most SIDE and at most that of the photograph."""
+    """Return the camera at the resolution of the alignment: at most MAX_SIDE and at most that of the photograph."""
     longest = max(camera.width, camera.height)
-    scale = max(min(max(full), SIDE) / longest, 1.0)
+    scale = max(min(max(full), MAX_SIDE) / longest, 1.0)
     return camera.resized(round(camera.width * scale), round(camera.height * scale))
 
 
@@ -114,6 +114,6 @@ def _observed_albedo(
 
 def _confidence(image: np.ndarray) -> np.ndarray:
     """Return a weight (H, W) in 0..1 that grows with the contrast around a pixel."""
-    mean = cv2.GaussianBlur(image, (0, 0), PATCH)
-    variance = np.clip(cv2.GaussianBlur(image * image, (0, 0), PATCH) - mean * mean, 0, None)
-    return variance / (variance + CONTRAST**2)
+    mean = cv2.GaussianBlur(image, (0, 0), PATCH_SIGMA)
+    variance = np.clip(cv2.GaussianBlur(image * image, (0, 0), PATCH_SIGMA) - mean * mean, 0, None)
+    return variance / (variance + HALF_WEIGHT_CONTRAST**2)

@@ -10,13 +10,13 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .candidates import Candidates
 from .texel_sampling import CODES
 
-POWER = 2.0  # of the weights: 1 is a mean over all candidates, large powers take the best alone
-OUTLIER = 0.12  # difference of log albedo from the robust centre at which a candidate counts half
-FLOOR = 0.02  # albedo added inside the logarithm, since the noise of dark texels is not relative
+WEIGHT_POWER = 2.0  # of the weights: 1 is a mean over all candidates, large powers take the best alone
+OUTLIER_DIFFERENCE = 0.12  # difference of log albedo from the robust centre at which a candidate counts half
+ALBEDO_FLOOR = 0.02  # albedo added inside the logarithm, since the noise of dark texels is not relative
 ROUNDS = 4  # of iteratively reweighted means
 
 
-def combine(candidates: Candidates, power: float = POWER, outlier: float = OUTLIER) -> np.ndarray:
+def combine(candidates: Candidates, power: float = WEIGHT_POWER, outlier: float = OUTLIER_DIFFERENCE) -> np.ndarray:
     """Combine candidates to albedo (P, 3) float32, 0 where there are none.
 
     The centre is the mean by plain weights, made robust by a Cauchy function of the distance from the last centre. The result is the mean
@@ -47,7 +47,7 @@ def combine_texels(begin, end, colour, weight, power, outlier, albedo):
         for n in range(kept):
             trust[n] = 1.0
             for c in range(3):
-                logs[n, c] = np.log(colour[p, n, c] / CODES + FLOOR)
+                logs[n, c] = np.log(colour[p, n, c] / CODES + ALBEDO_FLOOR)
         for _ in range(ROUNDS):
             total, red, green, blue = 0.0, 0.0, 0.0, 0.0
             for n in range(kept):

@@ -16,16 +16,16 @@ from .candidates import Candidates
 from .mesh_texels import MeshTexels
 from .texel_sampling import CODES
 
-BETTER = 0.02  # correlation with detail above that without, from which the detail is used
-LEAST = 0.15  # least correlation that is not chance
-FEWEST = 500  # texels that the held-back photographs must show
+MIN_CORRELATION_GAIN = 0.02  # correlation with detail above that without, from which the detail is used
+MIN_CORRELATION = 0.15  # least correlation that is not chance
+MIN_TEXELS = 500  # texels that the held-back photographs must show
 # Relief that the Gaussians don't resolve is shaded alike in all photographs, so that held-back ones can't tell it from paint. Its log
 # luminance varies by .05 on a carved face, with .2 of that in chromaticity; .4 and .5 on a print, .7 of it on a painted figure.
-COLOURED = 0.35  # chromaticity over luminance from which fine detail is paint
-STRONG = 0.2  # standard deviation of log luminance from which it is paint also without colour
-FLOOR = 0.02  # albedo added inside the logarithm
-FINE = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
-WIDTHS = 1.5, 16.0  # least and greatest standard deviation of that filter, texels
+MIN_PAINT_CHROMATICITY = 0.35  # chromaticity over luminance from which fine detail is paint
+MIN_PAINT_CONTRAST = 0.2  # standard deviation of log luminance from which it is paint also without colour
+ALBEDO_FLOOR = 0.02  # albedo added inside the logarithm
+FINE_SIGMA = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
+SIGMA_RANGE = 1.5, 16.0  # least and greatest standard deviation of that filter, texels
 
 
 @dataclass
@@ -57,12 +57,12 @@ class Evidence:
         if not len(known):
             return
         pixel = float(np.median(held.finest[known]) / np.median(self.texels.side[self.texels.face[known]]))
-        sigma = float(np.clip(FINE * pixel, *WIDTHS))
+        sigma = float(np.clip(FINE_SIGMA * pixel, *SIGMA_RANGE))
         values = held.colour[known, 0, 1] / np.float32(CODES), detailed[known, 1], plain[known, 1]
-        seen, new, old = (fine_detail(self.texels, known, np.log(np.clip(value, 0, 1) + FLOOR), sigma) for value in values)
+        seen, new, old = (fine_detail(self.texels, known, np.log(np.clip(value, 0, 1) + ALBEDO_FLOOR), sigma) for value in values)
         for row, texture in enumerate((new, old)):
             self.sums[row] += (texture * seen).sum(), (texture * texture).sum(), (seen * seen).sum()
-        logs = np.log(np.clip(detailed[known], 0, 1) + FLOOR)
+        logs = np.log(np.clip(detailed[known], 0, 1) + ALBEDO_FLOOR)
         red, blue = (fine_detail(self.texels, known, logs[:, k] - logs[:, 1], sigma) for k in (0, 2))
         green = fine_detail(self.texels, known, logs[:, 1], sigma)
         self.squares += (green * green).sum(), 0.5 * (red * red + blue * blue).sum()
@@ -78,13 +78,13 @@ class Evidence:
     def painted(self) -> bool:
         """False where the fine detail may be the shading of relief: weak, and of hardly any colour."""
         luminance, chromaticity = np.sqrt(self.squares / max(self.compared, 1))
-        return bool(luminance >= STRONG or chromaticity >= COLOURED * luminance)
+        return bool(luminance >= MIN_PAINT_CONTRAST or chromaticity >= MIN_PAINT_CHROMATICITY * luminance)
 
     @property
     def convincing(self) -> bool:
         """True where the detail is paint, and explains photographs that it was not made from better than the working solution does."""
         new, old = self.correlations
-        return self.compared >= FEWEST and new > max(old + BETTER, LEAST) and self.painted
+        return self.compared >= MIN_TEXELS and new > max(old + MIN_CORRELATION_GAIN, MIN_CORRELATION) and self.painted
 
     @property
     def reason(self) -> str:

@@ -19,7 +19,9 @@ from ..scene.camera import Camera
 from ..settings.schema import DataSettings
 
 PYRAMID_LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
-SAME_PLACE = 1e-4  # difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains
+MAX_POSE_DIFFERENCE = (
+    1e-4  # difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -154,7 +156,7 @@ def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, n
 def _same_camera(a: Camera, b: Camera) -> bool:
     """Return True for two cameras of equal size and pose."""
     scale = max(float(np.linalg.norm(b.centre)), 1e-9)
-    same_pose = np.abs(a.to_world - b.to_world).max() <= SAME_PLACE * max(scale, 1.0)
+    same_pose = np.abs(a.to_world - b.to_world).max() <= MAX_POSE_DIFFERENCE * max(scale, 1.0)
     return (a.width, a.height) == (b.width, b.height) and bool(same_pose) and abs(a.fx - b.fx) <= 1e-3 * b.fx
 
 

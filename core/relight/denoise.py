@@ -21,8 +21,8 @@ from ..shading.split_sum import specular_albedo
 from .estimate import Estimate
 from .primary_hits import PrimaryHits
 
-REACH = 6  # pixels of margin: the largest radius of a filter
-BLOCKS = 4  # ranges of rows per thread: the object rarely covers the rows evenly
+FILTER_MARGIN = 6  # pixels of margin: the largest radius of a filter
+RANGES_PER_THREAD = 4  # ranges of rows per thread: the object rarely covers the rows evenly
 
 
 @dataclass(frozen=True)
@@ -41,14 +41,14 @@ class Filter:
 
     def spatial(self) -> np.ndarray:
         """Return the spatial weights (T, T) of the neighbours, three sigma to each side."""
-        reach = min(REACH, math.ceil(3 * self.sigma))
+        reach = min(FILTER_MARGIN, math.ceil(3 * self.sigma))
         bell = np.exp(-(np.arange(-reach, reach + 1) ** 2) / (2 * self.sigma**2))
         return np.outer(bell, bell).astype(np.float32)
 
 
 IMAGE = DIFFUSE = Filter(2, 7)
 SPECULAR = Filter(1.5, 7)
-CHANCE = 2.0  # assumed relative error of the diffuse light times the number of samples: few samples may agree by chance
+CHANCE_ERROR = 2.0  # assumed relative error of the diffuse light times the number of samples: few samples may agree by chance
 
 
 @dataclass(frozen=True)
@@ -66,16 +66,16 @@ class Grid:
     @property
     def stride(self) -> int:
         """Return the number of floats from row to row."""
-        return -(-self.width // 8) * 8 + 2 * REACH
+        return -(-self.width // 8) * 8 + 2 * FILTER_MARGIN
 
     @property
     def plane(self) -> int:
         """Return the number of floats of a plane."""
-        return self.stride * (self.height + 2 * REACH)
+        return self.stride * (self.height + 2 * FILTER_MARGIN)
 
     def places(self, index: np.ndarray) -> np.ndarray:
         """Return the positions in a plane, (P,), of flat pixel indices (P,)."""
-        return (index // self.width + REACH) * self.stride + index % self.width + REACH
+        return (index // self.width + FILTER_MARGIN) * self.stride + index % self.width + FILTER_MARGIN
 
 
 class Guides:
@@ -123,7 +123,7 @@ class Guides:
             return self._on_device(self._index, values, bilateral)
         planes, spatial = self._scattered(values.T), bilateral.spatial()
         out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
-        parts = even_ranges(len(self._groups), BLOCKS * thread_count())
+        parts = even_ranges(len(self._groups), RANGES_PER_THREAD * thread_count())
         guided = (self._planes, spatial, np.float32(bilateral.epsilon * self._radius), bilateral.doublings)
         if not self._keep_weights:
             run_ranges(bilateral_range, parts, self._groups, *guided, planes, *size, out)
@@ -168,7 +168,7 @@ def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str
     diffuse = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
     n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
     specular = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
-    chance = (CHANCE / estimate.samples) ** 2
+    chance = (CHANCE_ERROR / estimate.samples) ** 2
     filtered_diffuse = corrected(estimate.diffuse / diffuse, estimate.diffuse_split / diffuse, chance, guides, DIFFUSE)
     filtered_specular = corrected(estimate.specular / specular, estimate.specular_split / specular, 0.0, guides, SPECULAR)
     return filtered_diffuse * diffuse + filtered_specular * specular

@@ -11,7 +11,7 @@ from .primary_hits import PrimaryHits
 from .secondary_query import Hits
 
 OFFSET = 0.02  # of the scene radius: the mean depth lies inside the layer of surfels of a surface, and rays start above that layer
-FAINTEST = 1 / 255  # opacity at or below which a ray counts as free
+MAX_FREE_OPACITY = 1 / 255  # opacity at or below which a ray counts as free
 
 
 class GaussianQuery:
@@ -45,7 +45,7 @@ class GaussianQuery:
         """
         with torch.no_grad():
             sums = self._traced(self._materials, origin, direction)
-            ray = torch.nonzero(sums[:, -1] > FAINTEST)[:, 0]
+            ray = torch.nonzero(sums[:, -1] > MAX_FREE_OPACITY)[:, 0]
             hit = sums[ray]
             opacity = hit[:, -1]
             mean = hit / opacity[:, None]
@@ -63,7 +63,7 @@ class GaussianQuery:
         """
         with torch.no_grad():
             distance, opacity = self._traced(self._materials[:0], origin, direction)[:, -2:].unbind(1)
-        counts = opacity > FAINTEST if reach is None else (opacity > FAINTEST) & (distance < reach * opacity)
+        counts = opacity > MAX_FREE_OPACITY if reach is None else (opacity > MAX_FREE_OPACITY) & (distance < reach * opacity)
         return torch.where(counts, opacity, 0.0)
 
     def _traced(self, channels: torch.Tensor, origin: torch.Tensor, direction: torch.Tensor) -> torch.Tensor:

@@ -27,8 +27,8 @@ from .sample_counts import pixel_shifts
 
 Plane = tuple[float, float, float, float]  # unit normal n and offset d: points x with n.x = d
 CLEARANCE = 0.002  # distance of ray origins from the plane, as a fraction of the scene radius
-REACH = 8.0  # distance from the object up to which its shadow is drawn, in scene radii
-COVERED = 0.999  # opacity of the object from which on the plane behind it is not drawn
+SHADOW_REACH = 8.0  # distance from the object up to which its shadow is drawn, in scene radii
+MIN_COVERING_OPACITY = 0.999  # opacity of the object from which on the plane behind it is not drawn
 
 
 def plane_surface(plane: Plane, camera: Camera, coverage: torch.Tensor, centre: Sequence[float], radius: float) -> PrimaryHits:
@@ -42,15 +42,15 @@ def plane_surface(plane: Plane, camera: Camera, coverage: torch.Tensor, centre: 
         radius: scene radius, world units.
 
     Returns:
-        Points at most REACH radii from the centre; none where the camera looks at the plane from below.
+        Points at most SHADOW_REACH radii from the centre; none where the camera looks at the plane from below.
     """
     normal, ray = np.array(plane[:3]), camera.rays().reshape(-1, 3).astype(np.float64)
     below = normal @ camera.centre - plane[3]
     with np.errstate(divide="ignore", invalid="ignore"):
         depth = -below / (ray @ normal)
     point = camera.centre + depth[:, None] * ray
-    near = np.linalg.norm(point - np.asarray(centre), axis=1) < REACH * radius
-    seen = (below > 0) & (depth > 0) & np.isfinite(depth) & near & (coverage.flatten().cpu().numpy() < COVERED)
+    near = np.linalg.norm(point - np.asarray(centre), axis=1) < SHADOW_REACH * radius
+    seen = (below > 0) & (depth > 0) & np.isfinite(depth) & near & (coverage.flatten().cpu().numpy() < MIN_COVERING_OPACITY)
     index = np.flatnonzero(seen)
     view = -ray[index] / np.linalg.norm(ray[index], axis=1, keepdims=True)
     arrays = (ray[index], view, point[index], depth[index], np.broadcast_to(normal, (len(index), 3)))

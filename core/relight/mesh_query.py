@@ -18,7 +18,7 @@ from .vertex_transfer import VertexTransfer
 # Fractions of the scene radius:
 CLEARANCE = 0.002  # distance of ray origins from the mesh
 OFFSET = 0.012  # distance of ray origins from the Gaussians' surface, where the pixel does not see the mesh
-NEAR = 0.05  # a pixel sees the mesh where it lies in front of the Gaussians' surface, or behind it by less than this
+MAX_DEPTH_BEHIND = 0.05  # a pixel sees the mesh where it lies in front of the Gaussians' surface, or behind it by less than this
 
 
 class MeshQuery:
@@ -101,7 +101,7 @@ class MeshQuery:
         if kept is None or kept[0] is not surface.point:
             direction, centre = -surface.view, _centre(surface)
             hits, distance = self._closest(centre.expand_as(direction).contiguous(), direction)
-            near = distance < (surface.point[hits.ray] - centre).norm(dim=1) + NEAR * self._radius
+            near = distance < (surface.point[hits.ray] - centre).norm(dim=1) + MAX_DEPTH_BEHIND * self._radius
             kept = self._kept = surface.point, (hits.ray[near], hits.normal[near], distance[near])
         return kept[1]
 

@@ -16,7 +16,9 @@ from ..scene.gbuffer import EMPTY_ALPHA
 from ..scene.reconstruction import Reconstruction
 from ..scene.unit_vectors import unit_vectors
 
-FLAT = 0.999  # length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves
+MIN_MEAN_NORMAL = (
+    0.999  # length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves
+)
 
 
 @dataclass(frozen=True, eq=False)
@@ -160,7 +162,7 @@ def _bends(image: torch.Tensor, mean: torch.Tensor) -> torch.Tensor:
     """
     alpha = image[-1]
     unit = torch.nn.functional.avg_pool2d((unit_vectors(image[NORMAL]) * alpha)[None], SUBPIXELS)[0]  # as long as the rays are opaque
-    bent = ((unit * unit).sum(0) < (FLAT * mean[-1]).square()) & (mean[-1] > 2 * EMPTY_ALPHA)
+    bent = ((unit * unit).sum(0) < (MIN_MEAN_NORMAL * mean[-1]).square()) & (mean[-1] > 2 * EMPTY_ALPHA)
     return bent.repeat_interleave(SUBPIXELS, 0).repeat_interleave(SUBPIXELS, 1) & (alpha > EMPTY_ALPHA)
 
 

@@ -25,7 +25,7 @@ from ..shading.sampling import Samples, draw
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
 from .estimate import Estimate, estimate_reflected_light, joined_estimate
-from .image_noise import PILOT, ROUNDS, estimate_noise
+from .image_noise import MAX_ROUNDS, PILOT_SAMPLES, estimate_noise
 from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
 from .lamp_light import bounced_sums, lamp_sums, samples_per_lamp
 from .mesh_query import MeshQuery
@@ -157,8 +157,8 @@ class Relighter:
 
     def _render_to_error(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp], error: float) -> torch.Tensor:
         """Return colours (P, 3) with as many samples per pixel as the requested error needs, which the noise of few samples tells."""
-        samples = PILOT
-        for remaining in reversed(range(ROUNDS)):
+        samples = PILOT_SAMPLES
+        for remaining in reversed(range(MAX_ROUNDS)):
             estimate = self._reflected(surface, self._counts_of(samples), light, lamps)
             colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
             noise = estimate_noise(estimate, colour, surface, self.settings.denoise != "off")

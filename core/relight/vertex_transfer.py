@@ -24,12 +24,12 @@ from .mesh_tracer import MeshTracer
 from .prepared_light import PreparedLight
 from .sample_counts import pixel_shifts
 
-RAYS = 32  # per vertex; 96 change relit images by 0.02 dB
+RAYS_PER_VERTEX = 32  # per vertex; 96 change relit images by 0.02 dB
 BOUNCES = 3  # between vertices; 6 change relit images by 0.01 dB
 CLEARANCE = 0.004  # distance of ray origins from the vertices, as a fraction of the scene radius
-ROWS = 64  # of the grid of texels in which the directions of rays are kept
-LEVEL = 2  # of the specular stack that rays see: a lobe about as wide as the space between the rays
-PART = 1 << 15  # vertices whose rays are traced at a time
+DIRECTION_ROWS = 64  # of the grid of texels in which the directions of rays are kept
+SPECULAR_LEVEL = 2  # of the specular stack that rays see: a lobe about as wide as the space between the rays
+VERTICES_AT_A_TIME = 1 << 15  # vertices whose rays are traced at a time
 
 
 class VertexTransfer:
@@ -52,7 +52,7 @@ class VertexTransfer:
         self._albedo = torch.from_numpy(np.ascontiguousarray(mesh.albedo, np.float32)).to(device)
         self._faces = torch.from_numpy(mesh.faces.astype(np.int64)).to(device)
         origin = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device) + CLEARANCE * radius * self._normal
-        parts = [self._traced(origin, tracer, begin) for begin in range(0, max(self.count, 1), PART)]
+        parts = [self._traced(origin, tracer, begin) for begin in range(0, max(self.count, 1), VERTICES_AT_A_TIME)]
         self._texel, self._vertex = (torch.cat(rows).int().contiguous() for rows in zip(*parts, strict=True))
         self._lit: WeakKeyDictionary[PreparedLight, tuple[torch.Tensor, torch.Tensor]] = WeakKeyDictionary()
 
@@ -121,28 +121,28 @@ class VertexTransfer:
         return torch.from_numpy(arriving)
 
     def _traced(self, origin: torch.Tensor, tracer: MeshTracer, begin: int) -> tuple[torch.Tensor, torch.Tensor]:
-        """Trace the rays of PART vertices from number `begin` on.
+        """Trace the rays of VERTICES_AT_A_TIME vertices from number `begin` on.
 
         Returns:
-            (P, RAYS) texels of the grid in the rays' directions and (P, RAYS) vertices next to their hits, -1 for none; rays with hits come
-            first. A ray that hits the back of a triangle, from inside the object, gets vertex V, which is black.
+            (P, RAYS_PER_VERTEX) texels of the grid in the rays' directions, and of the same shape vertices next to their hits, -1 for none;
+            rays with hits come first. A ray that hits the back of a triangle, from inside the object, gets vertex V, which is black.
         """
-        index = torch.arange(begin, min(begin + PART, self.count), device=origin.device)
-        direction = cosine_directions(self._normal[index], RAYS, pixel_shifts(index, self.count)).view(-1, 3)
-        start = origin[index, None].expand(-1, RAYS, 3).reshape(-1, 3)
+        index = torch.arange(begin, min(begin + VERTICES_AT_A_TIME, self.count), device=origin.device)
+        direction = cosine_directions(self._normal[index], RAYS_PER_VERTEX, pixel_shifts(index, self.count)).view(-1, 3)
+        start = origin[index, None].expand(-1, RAYS_PER_VERTEX, 3).reshape(-1, 3)
         triangle, u, v, _ = tracer.closest(start, direction)
         place_u, place_v = direction_to_uv(direction)
-        row, column = ((x * size).long().clamp(0, size - 1) for x, size in ((place_v, ROWS), (place_u, 2 * ROWS)))
+        row, column = ((x * size).long().clamp(0, size - 1) for x, size in ((place_v, DIRECTION_ROWS), (place_u, 2 * DIRECTION_ROWS)))
         hit = torch.nonzero(triangle >= 0)[:, 0]
         corners = self._faces[triangle[hit].long()]
         nearest = corners.gather(1, torch.stack([1 - u[hit] - v[hit], u[hit], v[hit]], 1).argmax(1, keepdim=True))[:, 0]
         behind = (self._normal[nearest] * direction[hit]).sum(1) > 0
-        vertex = torch.full_like(row, -1).index_copy(0, hit, torch.where(behind, self.count, nearest)).view(-1, RAYS)
+        vertex = torch.full_like(row, -1).index_copy(0, hit, torch.where(behind, self.count, nearest)).view(-1, RAYS_PER_VERTEX)
         order = vertex.argsort(dim=1, descending=True, stable=True)
-        return (row * 2 * ROWS + column).view(-1, RAYS).gather(1, order), vertex.gather(1, order)
+        return (row * 2 * DIRECTION_ROWS + column).view(-1, RAYS_PER_VERTEX).gather(1, order), vertex.gather(1, order)
 
 
 def _grid(light: PreparedLight) -> torch.Tensor:
-    """Return a light, prefiltered and rotated, at the directions of the grid, (2 ROWS^2, 3) contiguous."""
-    direction = texel_directions(ROWS, 2 * ROWS).view(-1, 3).to(light.specular)
-    return lookup(light.specular[LEVEL], light.unturned(direction)).contiguous()
+    """Return a light, prefiltered and rotated, at the directions of the grid, (2 DIRECTION_ROWS^2, 3) contiguous."""
+    direction = texel_directions(DIRECTION_ROWS, 2 * DIRECTION_ROWS).view(-1, 3).to(light.specular)
+    return lookup(light.specular[SPECULAR_LEVEL], light.unturned(direction)).contiguous()

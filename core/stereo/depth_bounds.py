@@ -10,8 +10,8 @@ import numpy as np
 from ..scene.camera import Camera
 from ..scene.dataset import Bound, PointCloud
 
-RANGE = (0.6, 2.0)  # factors of the nearest and the farthest sparse points' depth between which stereo searches
-FEWEST = 20  # sparse points in a view from which they bound its depths
+DEPTH_RANGE = (0.6, 2.0)  # factors of the nearest and the farthest sparse points' depth between which stereo searches
+MIN_POINTS = 20  # sparse points in a view from which they bound its depths
 
 
 def depth_bounds(cameras: Sequence[Camera], points: PointCloud | None, bound: Bound) -> tuple[list[float], list[float]]:
@@ -30,8 +30,8 @@ def depth_bounds(cameras: Sequence[Camera], points: PointCloud | None, bound: Bo
         if points is not None:
             pixel, depths = camera.project(points.position.astype(np.float64))
             inside = camera.in_image(pixel, depths)
-            if inside.sum() >= FEWEST:
-                low, high = np.quantile(depths[inside], [0.01, 0.99]) * RANGE
+            if inside.sum() >= MIN_POINTS:
+                low, high = np.quantile(depths[inside], [0.01, 0.99]) * DEPTH_RANGE
         nearest.append(float(low))
         farthest.append(float(high))
     return nearest, farthest

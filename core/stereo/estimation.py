@@ -24,7 +24,7 @@ from .view_selection import choose_sources, choose_witnesses
 
 FINE_STEP, GEOMETRIC_STEP = 0.25, 0.25  # of the first sweep's random changes; the coarse sweeps start with 1, and each halves it
 NO_PENALTIES = Penalties(np.float32(0), np.float32(0))
-PROBES = 2000  # points that tell which views see the same places
+MAX_PROBES = 2000  # points that tell which views see the same places
 Depths = Sequence[np.ndarray | float]  # for each view, (H, W) or one for all its pixels
 
 
@@ -174,14 +174,14 @@ def _bounds(image: MatchingImage, nearest: np.ndarray | float, farthest: np.ndar
 
 
 def _probes(images: list[MatchingImage], bounds: list[Bounds], points: np.ndarray | None, seed: int) -> np.ndarray:
-    """Return up to about PROBES points (P, 3) near the surfaces: sparse points, else points at random pixels between the bounds."""
+    """Return up to about MAX_PROBES points (P, 3) near the surfaces: sparse points, else points at random pixels between the bounds."""
     rng = np.random.default_rng(seed)
     if points is not None and len(points):
-        return points if len(points) <= PROBES else points[rng.choice(len(points), PROBES, replace=False)]
+        return points if len(points) <= MAX_PROBES else points[rng.choice(len(points), MAX_PROBES, replace=False)]
     probes = []
     for image, one in zip(images, bounds, strict=True):
         rows, columns = np.nonzero(one.searched)
-        pick = rng.integers(0, max(1, len(rows)), -(-PROBES // len(images)) if len(rows) else 0)
+        pick = rng.integers(0, max(1, len(rows)), -(-MAX_PROBES // len(images)) if len(rows) else 0)
         rows, columns = rows[pick], columns[pick]
         low, high = one.nearest[rows, columns].astype(np.float64), one.farthest[rows, columns].astype(np.float64)
         depth = low + (high - low) * rng.random(len(rows))

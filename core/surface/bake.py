@@ -11,8 +11,8 @@ from scipy import ndimage
 from ..kernels.cpu.jit import kernel
 from .meshing import unit
 
-NOISE = 1.5  # differences between two normals below this multiple of their median count as noise
-STEEPEST = 0.8  # sine of the largest angle between the normals of texture and mesh
+NOISE_RATIO = 1.5  # differences between two normals below this multiple of their median count as noise
+MAX_NORMAL_SINE = 0.8  # sine of the largest angle between the normals of texture and mesh
 
 
 @dataclass(frozen=True, eq=False)
@@ -203,7 +203,7 @@ def add_normal_detail(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray, s
     """
     difference = _perpendicular(fused, normal)
     sine = np.linalg.norm(difference, axis=-1, keepdims=True)
-    noise = NOISE * np.median(sine[seen]) if seen.any() else 0.0
-    turn = np.clip(sine - noise, 0, STEEPEST)
+    noise = NOISE_RATIO * np.median(sine[seen]) if seen.any() else 0.0
+    turn = np.clip(sine - noise, 0, MAX_NORMAL_SINE)
     along = difference / np.maximum(sine, 1e-9) * strength * turn
     return unit(normal * np.sqrt(1 - (strength * turn) ** 2) + along)

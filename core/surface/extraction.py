@@ -18,8 +18,8 @@ from .fusion import fuse
 from .silhouette import silhouette_offset
 from .voxel_grid import Grid, make_grid
 
-DECIMATED = 0.99  # of the triangle budget: repair adds a few
-HOLE = 1.0  # diameters of the object: a shorter open border is a hole and is filled, a longer one is the end of the surface
+DECIMATED_FRACTION = 0.99  # of the triangle budget: repair adds a few
+MAX_HOLE_DIAMETERS = 1.0  # diameters of the object: a shorter open border is a hole and is filled, a longer one is the end of the surface
 
 
 def extract_geometry(
@@ -79,11 +79,11 @@ def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Sur
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
-    longest = HOLE * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
+    longest = MAX_HOLE_DIAMETERS * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
     fine = repair.fill_holes(fine, longest)
     fine = meshing.smoothed(fine, settings.smoothing)
     normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = repair.make_manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED * settings.triangles))))
+    mesh = repair.make_manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED_FRACTION * settings.triangles))))
     mesh = repair.fill_holes(repair.remove_folds(mesh), longest)  # where three sheets meet, a division leaves a hole
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
     return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)

@@ -18,8 +18,11 @@ from .topology import adjacency, edges_of
 from .voxel_grid import Grid
 
 AGGRESSION = 5  # `agg` of decimation; the library's default, 7, has three times the error in the same time
-CANDIDATES, CARRIED = 12, 4  # nearest fine vertices that are looked at, and those that a decimated vertex takes its normal from
-TAUBIN = (0.5, -0.53)  # factors of the shrinking and the growing step, which together keep the volume (Taubin 1995)
+NORMAL_CANDIDATES, CARRIED_NORMALS = (
+    12,
+    4,
+)  # nearest fine vertices that are looked at, and those that a decimated vertex takes its normal from
+TAUBIN_FACTORS = (0.5, -0.53)  # factors of the shrinking and the growing step, which together keep the volume (Taubin 1995)
 
 
 @dataclass(frozen=True, eq=False)
@@ -117,7 +120,7 @@ def smoothed(mesh: Triangles, passes: int) -> Triangles:
     average = _neighbour_average(mesh)
     vertices = mesh.vertices
     for _ in range(passes):
-        for factor in TAUBIN:
+        for factor in TAUBIN_FACTORS:
             vertices = vertices + factor * (average @ vertices - vertices)
     return Triangles(vertices, mesh.faces)
 
@@ -188,9 +191,9 @@ def carried_normals(source: Triangles, normals: np.ndarray, mesh: Triangles) -> 
     Returns:
         (P, 3) unit normals.
     """
-    distance, nearest = KDTree(source.vertices).query(mesh.vertices, k=CANDIDATES, workers=-1)
+    distance, nearest = KDTree(source.vertices).query(mesh.vertices, k=NORMAL_CANDIDATES, workers=-1)
     away = (normals[nearest] * vertex_normals(mesh)[:, None]).sum(-1) <= 0
-    order = np.argsort(away, axis=-1, kind="stable")[:, :CARRIED]
+    order = np.argsort(away, axis=-1, kind="stable")[:, :CARRIED_NORMALS]
     distance, nearest = (np.take_along_axis(values, order, -1) for values in (distance, nearest))
     weight = 1 / (distance + 1e-3 * distance.max(-1, keepdims=True) + 1e-12)
     weight *= ~np.take_along_axis(away, order, -1) | away.all(-1, keepdims=True)

@@ -18,10 +18,10 @@ from ..scene.camera import Camera
 from ..scene.triangle_tracer import TriangleTracer
 from .topology import neighbour_average
 
-LARGEST = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
-REACH = 3.0  # pixels on both sides of the mesh's outline whose coverage is compared
-PASSES = 10  # averages of a vertex's outlines with its neighbours'
-LEAST = 0.1  # outline length at a vertex, over the mean of all vertices, that moves it by half of the measured distance
+MAX_OFFSET = 1.5  # pixels; a larger offset is not a bias of splatting, but a missing part
+OUTLINE_REACH = 3.0  # pixels on both sides of the mesh's outline whose coverage is compared
+SMOOTHING_PASSES = 10  # averages of a vertex's outlines with its neighbours'
+HALF_MOVE_LENGTH = 0.1  # outline length at a vertex, over the mean of all vertices, that moves it by half of the measured distance
 
 
 def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence[Camera], masks: Sequence[np.ndarray]) -> np.ndarray:
@@ -41,9 +41,9 @@ def silhouette_offset(vertices: np.ndarray, faces: np.ndarray, cameras: Sequence
     for camera, mask in zip(cameras, masks, strict=True):
         face, gaps, pixel = _gaps(tracer, camera, mask)
         area, length = gaps.sum(0) if len(gaps) else (0.0, 0.0)
-        if length < pixel or abs(area) > LARGEST * pixel * length:
+        if length < pixel or abs(area) > MAX_OFFSET * pixel * length:
             continue
-        limits.append(LARGEST * pixel)
+        limits.append(MAX_OFFSET * pixel)
         for corner, column in np.ndindex(3, 2):
             total[:, column] += np.bincount(faces[face, corner], gaps[:, column] / 3, len(vertices))
     if not limits:
@@ -66,7 +66,7 @@ def _gaps(tracer: TriangleTracer, camera: Camera, mask: np.ndarray) -> tuple[np.
     if not edge.any():
         return np.zeros(0, np.int64), np.zeros((0, 2)), 1.0
     nearest = np.asarray(ndimage.distance_transform_edt(~edge, return_distances=False, return_indices=True))
-    near = np.hypot(*(nearest - np.indices(mask.shape))) <= REACH
+    near = np.hypot(*(nearest - np.indices(mask.shape))) <= OUTLINE_REACH
     nearest = tuple(nearest[:, near])
     size = found.distance.reshape(mask.shape)[nearest] / camera.fx
     outline = np.hypot(*np.gradient(mask))[near]  # length in pixels: alpha rises by one across it
@@ -77,7 +77,7 @@ def _gaps(tracer: TriangleTracer, camera: Camera, mask: np.ndarray) -> tuple[np.
 def _spread(total: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Average area and outline length (V, 2) over neighbouring vertices of faces (F, 3), and return the distance (V,) that they measure."""
     matrix = neighbour_average(faces, len(total))
-    least = LEAST * total[:, 1].mean()
-    for _ in range(PASSES):
+    least = HALF_MOVE_LENGTH * total[:, 1].mean()
+    for _ in range(SMOOTHING_PASSES):
         total = matrix @ total
     return total[:, 0] / np.maximum(total[:, 1] + least, 1e-30)

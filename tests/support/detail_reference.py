@@ -5,7 +5,7 @@ import cv2
 import numpy as np
 from irgspp.core.detail import texel_sampling as kernels
 from irgspp.core.detail.candidates import DARK_FRACTION, Candidates, TexelView
-from irgspp.core.detail.combination import FLOOR, ROUNDS
+from irgspp.core.detail.combination import ALBEDO_FLOOR, ROUNDS
 from irgspp.core.detail.mesh_texels import MeshTexels
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.scene.camera import Camera
@@ -87,7 +87,7 @@ def combined(candidates: Candidates, power: float, outlier: float) -> np.ndarray
     weight = candidates.weight.astype(np.float64)
     known = weight.max(1) > 0
     weight = weight / np.where(known, weight.max(1), 1)[:, None]
-    logs, trust = np.log(colour + FLOOR), np.ones_like(weight)
+    logs, trust = np.log(colour + ALBEDO_FLOOR), np.ones_like(weight)
     for _ in range(ROUNDS):
         w = weight * trust
         centre = (w[..., None] * logs).sum(1) / np.maximum(w.sum(1), 1e-30)[:, None]

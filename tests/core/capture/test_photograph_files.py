@@ -103,6 +103,6 @@ def test_has_photographs(tmp_path):
 
 
 def test_has_photographs_gives_up_on_large_folders(tmp_path, monkeypatch):
-    monkeypatch.setattr("irgspp.core.capture.photograph_files.LOOKED_AT", 5)
+    monkeypatch.setattr("irgspp.core.capture.photograph_files.MAX_LOOKED_AT", 5)
     made(tmp_path, *(f"{i}.txt" for i in range(10)), "z.jpg")
     assert not has_photographs(tmp_path)

@@ -58,7 +58,7 @@ def test_long_video_is_decoded_in_bursts(tmp_path, writers, moving, monkeypatch)
     sharpness = video._sharpness
     monkeypatch.setattr(video, "_sharpness", lambda frame: measured.append(frame.pts) or sharpness(frame))
     found = numbers(tmp_path / "v.mp4", 10)
-    assert len(measured) <= 10 * video.BURST and all(n % 3 == 0 for n in found) and np.abs(np.diff(found) - 30).max() <= 12
+    assert len(measured) <= 10 * video.BURST_FRAMES and all(n % 3 == 0 for n in found) and np.abs(np.diff(found) - 30).max() <= 12
 
 
 def test_long_video_with_few_keyframes(tmp_path, writers, moving):

@@ -110,7 +110,7 @@ def test_detail_drops_noise_and_keeps_creases():
     np.testing.assert_allclose(np.linalg.norm(kept, axis=-1), 1)
     assert np.linalg.norm(kept - normal, axis=-1)[210:].mean() < 0.3 * np.linalg.norm(fused - normal, axis=-1)[210:].mean()
     assert np.abs(kept - fused)[:200].max() < 0.12
-    assert (kept[:, 2] >= np.sqrt(1 - bake.STEEPEST**2) - 1e-9).all()
+    assert (kept[:, 2] >= np.sqrt(1 - bake.MAX_NORMAL_SINE**2) - 1e-9).all()
     np.testing.assert_allclose(bake.add_normal_detail(normal, fused, seen, 0.0), normal)
     unseen = bake.add_normal_detail(normal, fused, ~seen, 1.0)  # without a seen point, the noise is 0
     np.testing.assert_allclose(unseen[210:, 2], fused[210:, 2])
