@@ -123,7 +123,8 @@ def render_capture(args: argparse.Namespace) -> None:
     cameras = phone.handheld_cameras(args.train, centre, radius, tuple(args.size), np.random.default_rng(SEED))
     scene.world = worlds[lights[0]]
     write_truth_cameras(truth / "transforms.json", cameras[0], render_photographs(scene, surroundings, cameras, args.output))
-    write_surface(truth, cycles_ground_truth.visible_points(triangles, cameras, args.points, SEED), triangles, (np.zeros((0, 3)),) * 2)
+    nothing = np.zeros((0, 3))
+    write_surface(truth, cycles_ground_truth.visible_points(triangles, cameras, args.points, SEED), triangles, (nothing, nothing))
     for thing in surroundings:
         bpy.data.objects.remove(thing)
     scene.render.film_transparent, scene.cycles.samples = True, args.test_samples

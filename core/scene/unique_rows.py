@@ -10,7 +10,7 @@ import numpy as np
 LARGEST_KEY = 2**62
 
 
-def unique_rows(rows: np.ndarray, **outputs: bool) -> Any:
+def unique_rows(rows: np.ndarray, **outputs: Any) -> Any:
     """Find the unique rows of an array of integers, in ascending order.
 
     The same as `np.unique(rows, axis=0, ...)`, which compares rows field by field: 120,000 edges of a mesh
@@ -18,7 +18,7 @@ def unique_rows(rows: np.ndarray, **outputs: bool) -> Any:
 
     Args:
         rows: (N, C) integers.
-        outputs: as of `np.unique`: return_index, return_inverse, return_counts.
+        outputs: bool, as of `np.unique`: return_index, return_inverse, return_counts.
 
     Returns:
         The unique rows (U, C); followed by the arrays that `outputs` ask for, (U,), (N,) and (U,).
