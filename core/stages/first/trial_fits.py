@@ -25,7 +25,9 @@ LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit reso
 GIVE_UP_LIMITS = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
 
 
-def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
+def prepare_trial(
+    dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool, single_rays: float = 0.0
+) -> Trainer:
     """Prepare a trial fit: a trainer of few surfels on small images.
 
     Args:
@@ -34,11 +36,12 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
         gaussians: initial Gaussians, of which some are selected.
         material_class: initial materials and learning rates.
         crop: crop the images to the object.
+        single_rays: first part of the schedule, 0..1, with one ray per pixel.
     """
     brief, camera = settings.first, dataset.train[0].camera
     few = subsample(gaussians, brief.trial_gaussians, settings.seed)
     light_height = min(LIGHT_HEIGHT, brief.light_height)
-    brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=0.0)
+    brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=single_rays)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
     return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop)
 

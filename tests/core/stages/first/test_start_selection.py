@@ -61,8 +61,10 @@ def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
 
 def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, monkeypatch):
     sizes = []
-    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *_: sizes.append(settings.first))
+    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *rest: sizes.append((settings.first, rest[-1])))
     monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({}, []))
     start_selection._trial(scene[0], SETTINGS, {"one": scene[1]}, LOW_GLOSS, Silent(), False)
-    assert sizes[0].trial_gaussians == 2.5 * SETTINGS.first.trial_gaussians
-    assert sizes[0].trial_resolution == 2 * SETTINGS.first.trial_resolution
+    first, single_rays = sizes[0]
+    assert first.trial_gaussians == 2.5 * SETTINGS.first.trial_gaussians
+    assert first.trial_resolution == 2 * SETTINGS.first.trial_resolution
+    assert single_rays == 1
