@@ -29,7 +29,7 @@ Operations without a module at the top are called directly by the module named h
 | draw and sum light samples | `core/relight/direct_light.py` | `light_samples` | `light` | `tests/core/relight/test_indirect_light.py` |
 | count unoccluded directions | `core/relight/visibility_cache.py` | `light_samples` | none | none |
 | cross-bilateral filter | `core/relight/denoise.py` | `bilateral` | `bilateral` | `tests/core/relight/test_denoise.py` |
-| closest hits on triangles | `core/relight/triangles.py` | none: Embree | `mesh` | none |
+| closest hits on triangles | `core/relight/mesh_tracer.py` | none: Embree | `mesh` | none |
 
 Shared helpers: `cpu/jit.py` (compilation), `cpu/simd.py` and `cpu/reductions.py` (8-wide vectors), `cpu/frame.py` and
 `cpu/harmonics.py`; `warp/runtime.py` (launches) and `warp/harmonics.py`; `reference/compositing.py` and `reference/rotations.py`.

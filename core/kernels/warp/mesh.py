@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Closest hits of rays on triangles by Warp's mesh; called by core/relight/triangles.py."""
+"""Closest hits of rays on triangles by Warp's mesh; called by core/relight/mesh_tracer.py."""
 
 import torch
 import warp as wp
