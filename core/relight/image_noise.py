@@ -23,9 +23,8 @@ PILOT_SAMPLES = 16  # samples of every pixel in the first round
 SAMPLE_STEPS = tuple(PILOT_SAMPLES << i for i in range(9))  # allowed numbers of samples, up to 4096
 MAX_ROUNDS = 3  # of rendering, with more samples in each
 VARIANCE_RATE = 1.2  # the variance falls with samples^-VARIANCE_RATE: faster than 1 by low discrepancy, slower than 2 at shadow edges
-HALF_VARIANCE_RATIO = (
-    0.62  # variance over the squared half difference of the two halves: each half has a higher discrepancy than the whole set
-)
+# Variance over the squared half difference of the two halves of the samples: each half has a higher discrepancy than the whole set.
+HALF_VARIANCE_RATIO = 0.62
 MIXED_FRACTION = 0.1  # fraction of the variance that remains in a fully filtered tile: twice the filter's own weight of a pixel
 
 

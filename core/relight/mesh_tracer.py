@@ -68,14 +68,11 @@ class EmbreeTracer:
         self._tracer = TriangleTracer(mesh.vertices[mesh.faces])
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
-        """Find the first triangle that each ray meets, see `MeshTracer`.
+        """Find the first triangle that each ray meets.
 
         Args:
-            origin: (R, 3) world, float32.
-            direction: (R, 3) unit, float32.
-
-        Returns:
-            Triangle index (int32), -1 for none, barycentric weights of its second and third corner, and distance, (R,) each.
+            origin: see `MeshTracer.closest`, also for the result.
+            direction: likewise.
         """
         origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
         triangle = np.empty(len(origins), np.int32)
@@ -90,12 +87,12 @@ class EmbreeTracer:
         return torch.from_numpy(triangle), torch.from_numpy(u), torch.from_numpy(v), torch.from_numpy(distance)
 
     def meet(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
-        """Return True for rays that meet any triangle, (R,).
+        """Return True for rays that meet any triangle.
 
         Args:
-            origin: (R, 3) world, float32.
-            direction: (R, 3) unit, float32.
-            reach: (R,) distances up to which triangles count, float32; None: any distance.
+            origin: see `MeshTracer.meet`, also for the result.
+            direction: likewise.
+            reach: likewise.
         """
         origins, directions = origin.contiguous().numpy(), direction.contiguous().numpy()
         occluded = np.empty(len(origins), bool)

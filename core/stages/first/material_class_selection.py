@@ -9,10 +9,9 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
-from ..common.skip_rules import decide_skip_rule
 from .checkpoint_state import invalid_checkpoint
 from .material_class import GLOSSY, LOW_GLOSS, MATERIAL_CLASSES, METAL, MaterialClass, allowed_material_classes, with_geometry_rates
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials
 
 # dB by which a more reflecting class must be better where the light turns, beside `first.trial_margin`: a reflected light map also explains
 # some of the matt shading that changes with the turns (0.7 dB on a dielectric of roughness 0.45), for which SH need more than a brief fit.
@@ -55,7 +54,7 @@ def select_material_class(
     fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, GLOSSY), crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
-    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
+    report_trials(settings, given_up, progress)
     turns = light_rotations(dataset.train) is not None
     margins = _margins(settings.first.trial_margin, turns)
     best = _choose(score, margins, turns)

@@ -12,11 +12,11 @@ from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
 from .material_class import GLOSSY, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import StereoStart, from_stereo
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials
 
 # With masks, the trial fits of two starts are finer than those that select the class, as the starts differ in less. On suzanne_mixed all of
-# stereo's points are worse in the end, by .7 dB on new views: held-back views of these fits say so by .2 dB, with 8,000 surfels on 100
-# pixels they prefer them by .1, and after 120 steps by .2.
+# stereo's points are worse in the end, by .7 dB on new views. Held-back views of these fits say so by .1 dB; with 8,000 surfels on 100
+# pixels, or after 120 steps, they would prefer all points by .1 dB.
 FINER_SURFELS, FINER_RESOLUTION = 2.5, 2  # factors of `first.trial_gaussians` and `first.trial_resolution`
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
@@ -90,14 +90,17 @@ def _trial(
     """Return the PSNR in dB of a trial fit from each start on held-back views."""
     first, single_rays = settings.first, 0.0
     if dataset.has_alpha:
-        single_rays = 1.0  # takes half the time, and decides alike on six scenes
+        single_rays = 1.0  # takes half the time of four, and decides alike on seven objects
         surfels, resolution = int(FINER_SURFELS * first.trial_gaussians), FINER_RESOLUTION * first.trial_resolution
         first = replace(first, trial_gaussians=surfels, trial_resolution=resolution)
     rated = with_geometry_rates(material_class, GLOSSY)  # as the trial fits that selected the class
     settings = replace(settings, first=first)
     fits = {key: prepare_trial(dataset, settings, start, rated, crop, single_rays) for key, start in starts.items()}
     progress.phase("start", first.trial_iterations)
-    return run_trials(fits, settings, progress)[0]
+    score, given_up = run_trials(fits, settings, progress)
+    if given_up or not dataset.has_alpha:  # with masks, the trial fits of the classes have been reported
+        report_trials(settings, given_up, progress)
+    return score
 
 
 def _reason_against(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:

@@ -68,7 +68,8 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
 
     With masks, stereo searches inside the visual hull, and there are up to two starts. In the first, a region takes stereo's points where
     the photographs agree better at their depth than at the hull's and where it differs by more than a pixel, and otherwise the hull's. The
-    second takes all of stereo's points: where the hull is wrong, the regions between are often wrong too, but on reflections stereo is.
+    second takes all of stereo's points. It is better where the hull is also wrong between these regions, and worse where stereo matches
+    reflections.
     Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through. Without masks, there is one start, and stereo's
     points in free space are left out: plain backgrounds and reflections match at false depths. Random points are added, likewise outside
     free space.

@@ -16,6 +16,7 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from ..common.preview import points_shape
+from ..common.skip_rules import decide_skip_rule
 from .material_class import MaterialClass
 from .trainer import Trainer
 
@@ -55,7 +56,8 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         progress: receives steps and previews, and may cancel.
 
     Returns:
-        By name, the PSNR in dB on the held-back views at the end of each fit, or where it was abandoned; which ones were, in words.
+        By name, the PSNR in dB on the held-back views at the end of each fit, or where it was abandoned; and which fits were abandoned,
+        in words.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -82,6 +84,17 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         if len(running) == 1 and len(fits) > 1:
             break
     return score, given_up
+
+
+def report_trials(settings: Settings, given_up: list[str], progress: Progress) -> None:
+    """Report which trial fits were abandoned, as the skip rule "trials".
+
+    Args:
+        settings: settings of the job.
+        given_up: trial fits that were abandoned, in words.
+        progress: receives the decision.
+    """
+    decide_skip_rule(settings.skip, "trials", bool(given_up), f"given up: {', '.join(given_up) or 'none'}", progress)
 
 
 def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
