@@ -24,9 +24,8 @@ from .raw import decode_raw
 FORMATS = ("JPEG", "PNG", "TIFF", "WEBP", "HEIF")  # files of several JPEGs (MPO) are opened as JPEG
 LOSSLESS = ("PNG", "TIFF")
 MAX_DEFLATE_RATIO = 8 * 1032  # largest number of pixels of one bit in a byte of a compressed TIFF
-MAX_COMPRESSED_RATIO = (
-    2000  # largest number of pixels in a byte of HEIC and WebP, whose formats set no limit; photographs have less than 100
-)
+# Largest number of pixels in a byte of HEIC and WebP, whose formats set no limit; photographs have less than 100.
+MAX_COMPRESSED_RATIO = 2000
 MAX_FILE_BYTES = 8 * MAX_PIXELS  # bytes of a file: four channels of 16 bits
 BITS_PER_SAMPLE = 258  # tag of TIFF
 

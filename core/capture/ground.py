@@ -23,10 +23,8 @@ CELL_PIXELS = 2.0  # side of a cell, pixels (see DensePoints.pixel)
 GROUND_REACH = 2.0  # radii of the object around it in which heights are averaged
 PLANE_RADIUS = 1.2  # radii from which the heights are those of the plane
 MAX_HEIGHT_RATIO = 1.25  # largest height of averaged points, as a factor of the height from which points do not belong to the plane
-MIN_BASE_PIXELS, MIN_BASE_DEVIATIONS = (
-    0.6,
-    8.0,
-)  # height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights
+# Least height of a base over the plane: in pixels, and in standard deviations of the plane's averaged heights.
+MIN_BASE_PIXELS, MIN_BASE_DEVIATIONS = 0.6, 8.0
 # Largest height of the voxels above a base that show where a thing stands, as a factor of the height from which points do not belong to the
 # plane.
 FOOT = 4.0

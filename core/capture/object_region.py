@@ -20,9 +20,8 @@ from .support_plane import SupportPlane
 VOXEL_PIXELS = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
 SEARCH_REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
 FRAME_RADII = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
-MIN_HEIGHT_PIXELS = (
-    2.0  # height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance
-)
+# Height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance.
+MIN_HEIGHT_PIXELS = 2.0
 MIN_HEIGHT_DEVIATIONS = 4.0  # that height in standard deviations of the plane's points; the larger of both heights counts
 MIN_POINTS_PER_VOXEL = 3  # points in a voxel from which it is occupied
 MIN_CLUSTER_VOXELS = 12  # voxels of a cluster

@@ -26,9 +26,8 @@ LOOSE_EDGE = 8.0  # pixels around the edge of the user's mask over which this co
 COLOUR_FACTOR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
 MAX_COLOUR_RATIO = 2.5  # largest log-likelihood ratio of a colour
 PLANE_FACTOR = 0.6  # factor of the log-likelihood ratio of the support plane's texture
-COLOUR_FACTOR_WITH_PLANE = (
-    0.2  # COLOUR_FACTOR where that texture is known, which tells object and table apart even where their colours are alike
-)
+# COLOUR_FACTOR where that texture is known, which tells object and table apart even where their colours are alike.
+COLOUR_FACTOR_WITH_PLANE = 0.2
 SHARED_WEIGHT = 0.5  # weight of the colours of all views against those of the view itself
 PRIOR_COST = 2.5  # cost of cutting against the other views, nats
 INSIDE_FACTOR = 0.4  # factor of it inside their silhouette: a visual hull fills hollows, so that it tells more of the outside

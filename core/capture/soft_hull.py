@@ -20,10 +20,8 @@ COARSE_CELLS = 40  # cells along the bound's diameter
 FINE_PIXELS = 2.0  # largest side of a voxel at the silhouette
 MAX_CELL_PARTS = 8  # most parts of a coarse cell's side
 MAX_COARSE_CONTRADICTION = 0.35  # fraction of the views that may contradict a coarse cell
-INSIDE_CONTRADICTION, OUTSIDE_CONTRADICTION = (
-    0.03,
-    0.15,
-)  # fraction of contradicting views at which a voxel is surely inside, and surely outside
+# Fractions of contradicting views at which a voxel is surely inside, and surely outside.
+INSIDE_CONTRADICTION, OUTSIDE_CONTRADICTION = 0.03, 0.15
 MIN_SEEN_FRACTION = 0.3  # fraction of the views that must say something about a voxel
 MAX_WIDENING = 64  # pixels by which masks are widened or narrowed, at most
 SILHOUETTE_BLUR = 0.8  # pixels, sigma of the silhouettes' blur

@@ -27,9 +27,8 @@ MIN_PLANE_POINTS = 200  # averaged points on a plane
 OFF_PLANE_PIXELS = 4.0  # pixels above or below the plane from which a point is not on it
 MIN_STANDING_RATIO = 0.02  # points above the plane's middle over its inliers from which something stands on it
 MAX_BENEATH_RATIO = 0.5  # points below the plane's middle over those above it from which the plane is a face of the object
-MAX_THROUGH_RATIO = (
-    0.1  # points right below the plane's extent over those above its middle from which it is no table: cameras can't see through one
-)
+# Points right below the plane's extent over those above its middle from which it is no table: cameras can't see through one.
+MAX_THROUGH_RATIO = 0.1
 
 
 @dataclass(frozen=True, eq=False)

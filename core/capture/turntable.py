@@ -28,9 +28,8 @@ WINDOW, MAX_NOISE = 3, 0.04  # pixels averaged, and encoded difference below whi
 MIN_STATIC_FRACTION = 0.5  # fraction of the photographs that must show the background at a static pixel
 TEXTURE_PATCH, MIN_TEXTURE = 7, 0.03  # pixels, and encoded standard deviation in them, from which a place has texture
 MIN_TEXTURED_BACKGROUND = 0.02  # fraction of the pixels that must be static and have texture; moving cameras leave less than 0.001
-MIN_PLAIN_BACKGROUND = (
-    0.1  # fraction of the pixels that must be static, with or without texture, where the user says that the camera is fixed
-)
+# Fraction of the pixels that must be static, with or without texture, where the user says that the camera is fixed.
+MIN_PLAIN_BACKGROUND = 0.1
 MIN_MOVING_FRACTION = 0.01  # fraction of the pixels that must not be static: the object
 MAX_GAP = 5  # pixels across which holes in what moves are closed
 MOVING_RIM = 3  # pixels at the rim of what moves whose features may belong to the background

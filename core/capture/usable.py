@@ -25,9 +25,8 @@ BLURRED_DEVIATIONS = 3.5  # as many standard deviations of the set below, at lea
 MIN_GROUP = 5  # photographs of a lens from which on they are compared among themselves
 MIN_MEDIAN_ENERGY = -1.45  # median log2 energy ratio below which all photographs are blurred; sharp sets have -0.2 to -0.9
 TINY_SIDE = 16  # side of the images that are compared all with all, pixels
-MIN_CORRELATION = (
-    0.95  # normalised correlation of these above which displacements are measured; a displacement of MAX_IDENTICAL_MOVE leaves 0.99
-)
+# Normalised correlation of these above which displacements are measured; a displacement of MAX_IDENTICAL_MOVE leaves 0.99.
+MIN_CORRELATION = 0.95
 MAX_CORNERS, MIN_CORNERS, TRACKING_WINDOW = 300, 30, 15  # tracked corners, fewest of them, and side of their windows in pixels
 MIN_TRACKED_FRACTION = 0.95  # fraction of corners that must be found again, forwards and backwards, within MAX_RETURN_ERROR pixels
 MAX_RETURN_ERROR = 0.5

@@ -19,9 +19,8 @@ from ..scene.camera import Camera
 from ..settings.schema import DataSettings
 
 PYRAMID_LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
-MAX_POSE_DIFFERENCE = (
-    1e-4  # difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains
-)
+# Difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains.
+MAX_POSE_DIFFERENCE = 1e-4
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,9 +14,8 @@ from .mesh_depth import render_mesh_depth
 from .photographs import LoadedPhotograph
 from .vertex_shading import ViewShading
 
-LOW_PASS_FRACTION = (
-    0.05  # standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur
-)
+# Standard deviation of the low-pass filter, as a fraction of the image's longest side: wider than the Gaussians' blur.
+LOW_PASS_FRACTION = 0.05
 REDUCED_SIGMA = 4.0  # standard deviation of that filter in pixels of the reduced image that is filtered
 MIN_OBJECT_ALPHA = 0.9  # alpha from which a pixel belongs to the object
 MIN_CLIPPED_VALUE = 0.97  # linear value from which a pixel may be clipped

@@ -16,9 +16,8 @@ from ..scene.gbuffer import EMPTY_ALPHA
 from ..scene.reconstruction import Reconstruction
 from ..scene.unit_vectors import unit_vectors
 
-MIN_MEAN_NORMAL = (
-    0.999  # length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves
-)
+# Length of the mean unit normal of a pixel's rays from which one point stands for all: 5 degrees between two halves.
+MIN_MEAN_NORMAL = 0.999
 
 
 @dataclass(frozen=True, eq=False)

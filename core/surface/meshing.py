@@ -18,10 +18,8 @@ from .topology import adjacency, edges_of
 from .voxel_grid import Grid
 
 AGGRESSION = 5  # `agg` of decimation; the library's default, 7, has three times the error in the same time
-NORMAL_CANDIDATES, CARRIED_NORMALS = (
-    12,
-    4,
-)  # nearest fine vertices that are looked at, and those that a decimated vertex takes its normal from
+# Nearest fine vertices that are looked at, and those that a decimated vertex takes its normal from.
+NORMAL_CANDIDATES, CARRIED_NORMALS = 12, 4
 TAUBIN_FACTORS = (0.5, -0.53)  # factors of the shrinking and the growing step, which together keep the volume (Taubin 1995)
 
 
