@@ -188,7 +188,7 @@ class Job:
         kept = sum(after is before for after, before in zip(views, self.data.train, strict=True))
         if kept:
             self.progress.message(f"{kept} of {len(views)} masks are kept as they were: the second cut would change them too much")
-        self.folder.save(MASKS, {view.name: (view.alpha, view.mask_error) for view in views})
+        self.folder.save(MASKS, {view.name: (view.alpha, view.mask_error, view.cut_by_colours) for view in views})
 
     def first_stage(self) -> None:
         """Fit Gaussians, their radiance and initial materials and light to the training images."""

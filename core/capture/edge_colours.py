@@ -21,6 +21,7 @@ OUTLINE_CLEARANCE = 1.0  # errors of a mask that this colour keeps from the rend
 OBJECT_WINDOW, BACKGROUND_WINDOW = 0.75, 1.5  # sigmas, in errors of a mask, of the windows from which both colours are continued
 MAX_WINDOWS = 4  # tried; each is twice as wide
 MAX_DIFFERENCE = 0.5  # difference in the last bin of the histograms, encoded
+HALF_RELIABLE_CONTRAST = 0.02  # squared distance of both colours, encoded, at which the coverage counts half
 
 
 @dataclass(frozen=True, eq=False)
@@ -30,6 +31,8 @@ class EdgeColours:
     Attributes:
         from_object: (H, W) float32, largest difference of a channel from the object's colour, encoded.
         from_background: (H, W) float32, the same from the background's colour.
+        coverage: (H, W) float32 0..1, fraction of a pixel that the object covers: where its colour lies between both.
+        reliability: (H, W) float32 0..1 of the coverage, near 1 where both colours are far apart.
         inside: (H, W) bool, surely the object.
         outside: (H, W) bool, surely the background.
         textured: (H, W) bool, the background's colour is that of the support plane.
@@ -37,6 +40,8 @@ class EdgeColours:
 
     from_object: np.ndarray
     from_background: np.ndarray
+    coverage: np.ndarray
+    reliability: np.ndarray
     inside: np.ndarray
     outside: np.ndarray
     textured: np.ndarray
@@ -62,7 +67,15 @@ def edge_colours(
     plane, textured = plane_in_photograph(texture, colour, camera, outside)
     background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, MAX_WINDOWS))
     differences = [np.abs(colour - other).max(-1).astype(np.float32) for other in (own, background)]
-    return EdgeColours(differences[0], differences[1], inside, outside, textured)
+    return EdgeColours(*differences, *_coverage(colour, own, background), inside, outside, textured)
+
+
+def _coverage(colour: np.ndarray, own: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the coverage and its reliability, see `EdgeColours`; colour, own, background: (H, W, 3), encoded."""
+    between = own - background
+    contrast = np.square(between).sum(-1)
+    coverage = ((colour - background) * between).sum(-1) / np.maximum(contrast, np.float32(1e-8))
+    return np.clip(coverage, 0, 1).astype(np.float32), (contrast / (contrast + HALF_RELIABLE_CONTRAST)).astype(np.float32)
 
 
 def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:

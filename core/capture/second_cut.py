@@ -24,8 +24,12 @@ from .support_plane import SupportPlane
 MASK_MARGIN = 12.0  # errors of a mask around it that are looked at
 MIN_PLANE_POINTS = 50  # points of the surroundings that make a support plane
 MAX_PLANE_HEIGHT, MIN_NORMAL_Z = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
-COLOUR_FACTOR = 0.6  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
-MAX_COST = 6.0  # largest cost of the colours, and that of sure pixels, nats
+COLOUR_FACTOR = 0.3  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
+MAX_COLOUR_COST = 3.0  # largest cost of that ratio, nats
+# Cost of a pixel that the object does not cover at all, nats. The ratio alone takes a pixel that is mixed of both colours for the object,
+# as the background's colour varies less: masks of slats and wires were .3 to .5 pixels too wide.
+COVERAGE_COST = 2.0
+SURE_COST = 6.0  # cost of sure pixels, nats
 PRIOR_COST = 1.0  # cost of cutting against the rendered opacity, nats
 EDGE_COST = 4.0  # cost of a pixel's length of silhouette where the image is flat, nats
 ITERATIONS = 100  # of the cut
@@ -83,11 +87,14 @@ def _colours(texture: PlaneTexture, view: View, crop: tuple[slice, slice], part:
 def _with_mask(view: View, crop: tuple[slice, slice], colours: EdgeColours, evidence: np.ndarray, opacity: np.ndarray) -> View:
     """Cut a view; a mask that changes too much is kept as it was."""
     assert view.alpha is not None
-    cost = np.clip(COLOUR_FACTOR * evidence, -MAX_COST, MAX_COST) + PRIOR_COST * (1 - 2 * opacity)
-    cost = np.where(colours.inside, -MAX_COST, np.where(colours.outside, MAX_COST, cost)).astype(np.float32)
+    cost = np.clip(COLOUR_FACTOR * evidence, -MAX_COLOUR_COST, MAX_COLOUR_COST) + PRIOR_COST * (1 - 2 * opacity)
+    cost += COVERAGE_COST * colours.reliability * (1 - 2 * colours.coverage)
+    cost = np.where(colours.inside, -SURE_COST, np.where(colours.outside, SURE_COST, cost)).astype(np.float32)
     weight = edge_weight(np.ascontiguousarray(np.clip(view.colour[crop], 0, 1)), EDGE_COST)
     binary = (minimum_cut(cost, weight, opacity, ITERATIONS) > 0.5).astype(np.float32)
     alpha = np.zeros_like(view.alpha)
     alpha[crop] = cv2.GaussianBlur(binary, (0, 0), COVERAGE_SIGMA)
     both = np.minimum(alpha, view.alpha).sum(), np.maximum(alpha, view.alpha).sum()
-    return view if both[0] <= MIN_AGREEMENT * both[1] else replace(view, alpha=alpha, mask_error=REMAINING_ERROR * view.mask_error)
+    if both[0] <= MIN_AGREEMENT * both[1]:
+        return view
+    return replace(view, alpha=alpha, mask_error=REMAINING_ERROR * view.mask_error, cut_by_colours=True)

@@ -28,6 +28,7 @@ class View:
         light: name of the light that the image was taken under, if it is not the dataset's own; else None.
         gain: linear exposure gain (3,) of the file's colours that the dataset states, relative to the other photographs; else None.
         mask_error: distance in pixels by which the edge of `alpha` may be wrong; `colour` then holds the photograph on both sides of it.
+        cut_by_colours: the photograph's own colours decided the edge of `alpha`, so that a fit follows the mask there.
         light_rotation: (3, 3) float64 rotation from the world to the frame of the light, where the light turns relative to the object
             (on a turntable); None where it stands still.
     """
@@ -41,6 +42,7 @@ class View:
     light: str | None = None
     gain: np.ndarray | None = None
     mask_error: float = 0.0
+    cut_by_colours: bool = False
     light_rotation: np.ndarray | None = None
 
 

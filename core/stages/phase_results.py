@@ -62,8 +62,8 @@ def _masks(dataset: Dataset, state: dict[str, Any]) -> list[View]:
     """Return the training views with the masks of a checkpoint; raise ValueError where they don't fit."""
     views = []
     for view in dataset.train:
-        alpha, error = state[view.name]
+        alpha, error, cut = state[view.name]
         if alpha.shape != view.colour.shape[:2]:
             raise ValueError(f"mask of {view.name}")
-        views.append(replace(view, alpha=alpha.numpy(), mask_error=float(error)))
+        views.append(replace(view, alpha=alpha.numpy(), mask_error=float(error), cut_by_colours=bool(cut)))
     return views

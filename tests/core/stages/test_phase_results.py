@@ -32,18 +32,18 @@ def results(folder, data, masks):
 
 
 def test_views_get_their_masks_and_errors(tmp_path, data):
-    masks = {view.name: (np.full_like(view.alpha, i / 8), float(i)) for i, view in enumerate(data.train)}
+    masks = {view.name: (np.full_like(view.alpha, i / 8), float(i), i == 2) for i, view in enumerate(data.train)}
     found = results(tmp_path, data, masks)
     for i, (view, before) in enumerate(zip(found.train, data.train, strict=True)):
-        assert view.name == before.name and view.mask_error == i and view.colour is before.colour
+        assert view.name == before.name and view.mask_error == i and view.cut_by_colours == (i == 2) and view.colour is before.colour
         assert view.alpha.dtype == np.float32 and (view.alpha == np.float32(i / 8)).all()
 
 
 def test_missing_and_foreign_masks_are_one_clear_line(tmp_path, data):
     with pytest.raises(InputError, match="has no masks"):
         PhaseResults(Folder(tmp_path), torch.device("cpu")).with_masks(data)
-    masks = {view.name: (view.alpha, 1.0) for view in data.train}
+    masks = {view.name: (view.alpha, 1.0, True) for view in data.train}
     with pytest.raises(InputError, match="can't be read"):
         results(tmp_path, replace(data, train=[replace(data.train[0], name="another")]), masks)
     with pytest.raises(InputError, match="can't be read"):
-        results(tmp_path, data, masks | {data.train[1].name: (np.zeros((2, 2), np.float32), 1.0)})
+        results(tmp_path, data, masks | {data.train[1].name: (np.zeros((2, 2), np.float32), 1.0, True)})

@@ -36,9 +36,10 @@ def test_band_lies_on_both_sides_of_the_edge(camera_ring):
     assert (widest_mask(one)[20] >= 0.5).sum() == 34 and (narrowest_mask(one)[20] >= 0.5).sum() == 28
 
 
-def test_exact_masks_have_no_band(camera_ring):
+def test_masks_with_known_edges_have_no_band(camera_ring):
     exact = view(camera_ring, error=0.0)
     assert find_mask_band(exact) is None and find_mask_band(replace(exact, alpha=None, mask_error=3.0)) is None
+    assert find_mask_band(view(camera_ring)) is not None and find_mask_band(replace(view(camera_ring), cut_by_colours=True)) is None
     assert widest_mask(exact) is exact.alpha and narrowest_mask(exact) is exact.alpha
 
 
