@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second stage: environment light and materials by the rendering equation, with visibility and indirect light traced through Gaussians.
 
-The closed steps, in order: surfels are aligned with the surface (`normals/`), light and materials are solved for points of it (`solver/`),
-normals follow the shading (`normals/`), materials go to the Gaussians (`solver/`), are refined on single pixels (`refinement/`), and the
-radiance is fitted again. `joint/` holds the joint optimisation, which replaces or refines them.
+The closed steps, in order: surfels are added where no view sees the surface (`unseen_surface`), all are aligned with it (`normals/`),
+light and materials are solved for points of it (`solver/`), normals follow the shading (`normals/`), materials go to the Gaussians
+(`solver/`), are refined on single pixels (`refinement/`), and the radiance is fitted again. `joint/` holds the joint optimisation, which
+replaces or refines them.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from functools import partial
 import torch
 
 from ...progress.protocol import Checkpoint, Progress
+from ...rendering.gbuffer_cache import GBufferCache
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
@@ -35,6 +37,7 @@ from .solver.light_material_solver import LightMaterialSolver
 from .solver.light_materials import solve_light_materials
 from .solver.metal_starts import metal_starts
 from .step_report import report_step
+from .unseen_surface import with_unseen_surface
 
 CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where the joint optimisation refines its result
 MAX_SOLVED_TRIANGLES = 40_000  # of the surface whose points light and materials are solved for
@@ -90,7 +93,7 @@ def solve_in_closed_form(
 ) -> tuple[Reconstruction, float]:
     """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
 
-    Positions, scales and opacities do not change. See `solve_second_stage`.
+    Positions, scales and opacities do not change; surfels are added where no view sees the surface. See `solve_second_stage`.
 
     Args:
         reconstruction: result of the first stage.
@@ -103,6 +106,7 @@ def solve_in_closed_form(
     Returns:
         The reconstruction, and the schedule scale as a multiple of the settings' schedules.
     """
+    reconstruction = _with_unseen_surface(reconstruction, surface, dataset, settings.seed, progress)
     reconstruction = _with_aligned_normals(reconstruction, surface, settings)
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), dataset, settings, progress)
@@ -116,6 +120,20 @@ def solve_in_closed_form(
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
     return _with_refitted_radiance(result, dataset, iterations, settings, progress), schedule_scale
+
+
+def _with_unseen_surface(
+    reconstruction: Reconstruction, surface: Surface, dataset: Dataset, seed: int, progress: Progress
+) -> Reconstruction:
+    """Add surfels where the closed surface has none; without masks, it ends where the photographs do."""
+    if not dataset.has_alpha:
+        return reconstruction
+    views = GBufferCache(reconstruction, [view.camera for view in dataset.train])
+    filled = with_unseen_surface(reconstruction, surface, views, seed)
+    added = filled.gaussians.count - reconstruction.gaussians.count
+    if added:
+        progress.message(f"{added:,} surfels added where no photograph shows the surface")
+    return filled
 
 
 def _with_aligned_normals(reconstruction: Reconstruction, surface: Surface, settings: Settings) -> Reconstruction:

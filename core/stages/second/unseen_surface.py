@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Surfels on the parts of the surface that no photograph shows, such as the floor of a mug.
+
+The mesh is closed there, but the first stage has no surfels: light would leak out of a hollow, and new views would show a hole.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...scene.gaussians import Gaussians, surfels
+from ...scene.gbuffer import GBuffer
+from ...scene.reconstruction import Reconstruction
+from ...scene.spherical_harmonics import SH_C0
+from ...scene.surface import Surface
+from ..common.nearest_neighbours import nearest_neighbours
+
+SPACING = 2.0  # of the new surfels and their standard deviation, voxels: what no view shows needs no detail
+POINTS = 2.0  # surface points looked at, on an area of SPACING x SPACING
+MIN_GAP = 3.0  # distance to the nearest surfel from which a point is in a gap, voxels
+CLEARANCE = 2.0  # depth behind the surfels from which they hide a point, voxels
+MIN_HIDING_OPACITY = 0.5  # opacity of the surfels in a pixel that hides what lies behind
+OPACITY = 0.95  # of the new surfels
+NEIGHBOURS = 16  # nearest surfels whose means give their radiance and materials
+
+
+def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views: Iterable[GBuffer], seed: int) -> Reconstruction:
+    """Add surfels where the surface has none and no view can tell that there is nothing.
+
+    Their radiance, the same in all directions, and their materials are the means of the nearest surfels.
+
+    Args:
+        reconstruction: result of the first stage.
+        surface: closed mesh that was fused from its depth.
+        views: its G-buffers at the training cameras; they are rendered only where the surface has gaps.
+        seed: seed of the points.
+
+    Returns:
+        The reconstruction with the new surfels last; itself where there are none.
+    """
+    position, normal = surface.samples(_point_count(surface), np.random.default_rng(seed))
+    gaussians = reconstruction.gaussians.to("cpu")
+    near = nearest_neighbours(gaussians.position.T, torch.from_numpy(position), 1)[:, 0]
+    distance = np.linalg.norm(gaussians.position.T[near].detach().numpy() - position, axis=1)
+    gap = distance > MIN_GAP * surface.voxel
+    position, normal = position[gap], normal[gap]
+    for view in views if len(position) else ():
+        kept = hidden(position, view, CLEARANCE * surface.voxel)
+        position, normal = position[kept], normal[kept]
+    if not len(position):
+        return reconstruction
+    new = _alike(gaussians, position, normal, SPACING * surface.voxel).to(reconstruction.gaussians.position.device)
+    return replace(reconstruction, gaussians=reconstruction.gaussians.joined(new))
+
+
+def _point_count(surface: Surface) -> int:
+    """Return the number of points for the area of a surface."""
+    corners = surface.vertices[surface.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
+    return int(POINTS * area / (SPACING * surface.voxel) ** 2)
+
+
+def hidden(points: np.ndarray, view: GBuffer, clearance: float) -> np.ndarray:
+    """Return True for points (P, 3) that surfels hide from a view, or that lie outside its image.
+
+    Args:
+        points: world.
+        view: depth and opacity of the surfels.
+        clearance: depth behind the surfels from which a point counts as hidden, world units.
+    """
+    camera = view.camera
+    homogeneous = np.concatenate([points, np.ones((len(points), 1))], 1) @ camera.projection.T
+    depth = homogeneous[:, 2]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        column, row = np.floor(homogeneous[:, 0] / depth), np.floor(homogeneous[:, 1] / depth)
+    inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
+    at = row[inside].astype(int), column[inside].astype(int)
+    result = np.ones(len(points), bool)
+    result[inside] = (view.alpha[at] >= MIN_HIDING_OPACITY) & (depth[inside] > view.depth[at] + clearance)
+    return result
+
+
+def _alike(gaussians: Gaussians, position: np.ndarray, normal: np.ndarray, scale: float) -> Gaussians:
+    """Return surfels at positions (M, 3) that look like the nearest ones."""
+    around = nearest_neighbours(gaussians.position.T, torch.from_numpy(position), NEIGHBOURS)
+    radiance = 0.5 + SH_C0 * gaussians.sh[0][:, around].mean(-1)
+    new = surfels(position, normal, radiance.T.clamp_min(0).numpy(), np.full(len(position), scale), OPACITY)
+    return replace(new, material=gaussians.material[:, around].mean(-1))
