@@ -5,8 +5,9 @@ from __future__ import annotations
 
 import bpy
 
-from ..irgspp_addon.importer.arrangement import hide_default_objects
+from ..irgspp_addon.importer.arrangement import end_hiding, hide_default_objects
 from ..irgspp_addon.importer.live_shape import SHAPE, remove_live_shape, show_live_shape
+from ..irgspp_addon.importer.ownership import Owner
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
@@ -21,7 +22,7 @@ _ended: set[str] = set()  # jobs whose shapes were removed
 
 
 def follow(job: Job) -> None:
-    """Show the present shape of a running job, and remove it when the job has ended.
+    """Show the present shape of a running job; when the job has ended, remove it, and show the hidden cube and light if no result came.
 
     Args:
         job: of any kind and state.
@@ -32,6 +33,7 @@ def follow(job: Job) -> None:
     if job.finished:
         if job.id not in _ended:
             remove_live_shape(job.folder)
+            end_hiding(job.folder, show=Owner(job.folder).find(bpy.data.objects, "mesh") is None)
             _ended.add(job.id)
             _shown.pop(job.id, None)
         return
@@ -51,7 +53,7 @@ def _show(job: Job, scene: bpy.types.Scene) -> None:
         return
     first, _shown[job.id] = job.id not in _shown, written
     shape = show_live_shape(job.folder, scene)
-    if shape is not None and first and bpy.context.scene == scene and hide_default_objects(scene, bpy.context.view_layer):
+    if shape is not None and first and bpy.context.scene == scene and hide_default_objects(scene, bpy.context.view_layer, job.folder):
         select(bpy.context, shape)  # in a new file; elsewhere the user is at work, and the view stays
         show_selected(scene, materials=False)
         shape.select_set(False)  # the colour of the selection would hide the points' own

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import bpy
 import numpy as np
 
@@ -13,6 +15,7 @@ CUBE_CORNERS = 8  # of Blender's default cube, each coordinate 1 or -1
 LIGHT_PLACE, LIGHT_WATTS = (4.0762, 1.0055, 5.9039), 1000.0  # of Blender's default light
 WORLD_GREY = 0.0508761  # linear colour of Blender's default World, nearly black
 ROUNDING = 1e-3
+HIDDEN = "irgspp_hidden"  # custom property of an object that is hidden while a job runs: the job's folder, and where it was shown before
 
 
 def arrange(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, light: bpy.types.World) -> None:
@@ -29,19 +32,46 @@ def arrange(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, light: bpy.types
         scene.world = light
 
 
-def hide_default_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer) -> bool:
+def hide_default_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None = None) -> bool:
     """Hide the untouched default cube and light; return True where one was shown.
 
     Args:
         scene: scene that may have them.
         layer: its view layer that is shown.
+        run: folder of a running job, at whose end `end_hiding` can show them again; None to hide them for good.
     """
     found = [thing for thing in scene.objects if (is_default_cube(thing) or is_default_light(thing)) and thing.name in layer.objects]
-    shown = any(not thing.hide_get(view_layer=layer) for thing in found)
+    shown = [thing for thing in found if not thing.hide_get(view_layer=layer)]
     for thing in found:
+        if run is None:
+            thing.pop(HIDDEN, None)
+        else:  # where the file was opened again while the job runs, the object knows from before where it was shown
+            now = {"layer": layer.name if thing in shown else "", "render": int(not thing.hide_render)}
+            thing[HIDDEN] = (thing[HIDDEN].to_dict() if HIDDEN in thing else now) | {"run": str(run.resolve())}
         thing.hide_set(True, view_layer=layer)
         thing.hide_render = True
-    return shown
+    return bool(shown)
+
+
+def end_hiding(run: Path, show: bool) -> None:
+    """End the hiding of the default cube and light for a job that has ended.
+
+    What was shown is stored in the objects, so that it is also known where the file was saved and opened again meanwhile.
+
+    Args:
+        run: folder of the job.
+        show: True to show them again as before the job, False to leave them hidden.
+    """
+    for thing in [thing for thing in bpy.data.objects if HIDDEN in thing and thing[HIDDEN]["run"] == str(run.resolve())]:
+        before = thing[HIDDEN].to_dict()
+        del thing[HIDDEN]
+        if not show:
+            continue
+        if before["render"]:
+            thing.hide_render = False
+        for layer in [layer for scene in thing.users_scene for layer in scene.view_layers if layer.name == before["layer"]]:
+            if thing.name in layer.objects:
+                thing.hide_set(False, view_layer=layer)
 
 
 def is_imported_camera(thing: bpy.types.Object | None) -> bool:

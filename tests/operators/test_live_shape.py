@@ -9,6 +9,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
+from irgspp.irgspp_addon.importer.arrangement import HIDDEN
 from irgspp.irgspp_addon.importer.live_shape import SHAPE, read_shape, remove_live_shape, show_live_shape
 from irgspp.irgspp_addon.importer.scene_builder import import_run
 from irgspp.irgspp_addon.jobs import result_import
@@ -138,6 +139,68 @@ def test_a_running_job_is_followed_and_cleared_away(scene, tmp_path):
     job.state = "cancelled"
     live_shape.follow(job)
     assert not shown(tmp_path)
+
+
+def default_objects_shown(scene) -> list[bool]:
+    """Return whether the default cube and light are shown in the view and, then, in images."""
+    things = [scene.objects["Cube"], scene.objects["Light"]]
+    return [not thing.hide_get() for thing in things] + [not thing.hide_render for thing in things]
+
+
+@pytest.mark.parametrize("state", ["cancelled", "failed"])
+def test_the_cube_and_light_are_shown_again_where_no_result_came(scene, tmp_path, state):
+    job = job_of(tmp_path, scene)
+    write(tmp_path)
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [False] * 4
+    job.state = state
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [True] * 4 and not set(scene.objects["Cube"].keys()) & {HIDDEN}
+    job.state = "running"  # resumed
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [False] * 4
+    job.state = "cancelled"
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [True] * 4
+
+
+def test_the_cube_and_light_stay_hidden_under_the_result(scene, run_folder):
+    job = job_of(run_folder, scene)
+    write(run_folder)
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [False] * 4
+    result_import.import_result(job)
+    job.state = "done"
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == [False] * 4 and HIDDEN not in scene.objects["Cube"]
+    (run_folder / SHAPE).unlink()
+
+
+def test_what_the_user_had_hidden_is_not_shown_by_the_end_of_a_job(scene, tmp_path):
+    scene.objects["Cube"].hide_set(True)
+    scene.objects["Light"].hide_render = True
+    before = default_objects_shown(scene)
+    job = job_of(tmp_path, scene)
+    write(tmp_path)
+    live_shape.follow(job)
+    job.state = "cancelled"
+    live_shape.follow(job)
+    assert default_objects_shown(scene) == before == [False, True, True, False]
+
+
+def test_the_cube_and_light_are_shown_again_in_a_file_that_was_opened_again(scene, tmp_path):
+    job = job_of(tmp_path / "run", scene)
+    write(tmp_path / "run")
+    live_shape.follow(job)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "scene.blend"))
+    job.data["place"]["file"] = bpy.data.filepath
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
+    live_shape._shown.clear()  # as in another Blender
+    live_shape.follow(job)
+    assert default_objects_shown(bpy.context.scene) == [False] * 4
+    job.state = "cancelled"
+    live_shape.follow(job)
+    assert default_objects_shown(bpy.context.scene) == [True] * 4 and not shown(tmp_path / "run")
 
 
 def test_nothing_changes_while_blender_renders(scene, tmp_path, monkeypatch):
