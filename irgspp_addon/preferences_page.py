@@ -13,7 +13,7 @@ from ..core.errors import IrgsppError
 from .engine import managed
 from .engine.preferences import DEFAULT_KIND
 from .engine.process import status
-from .jobs.engine_check import check_in_background
+from .jobs.engine_check import check_in_background, with_installation
 from .jobs.queue import all_jobs
 from .user_folder import EXTENSION
 
@@ -27,7 +27,7 @@ DEVICES = [
     ("cuda", "CUDA", "Also install the libraries for an NVIDIA graphics card; several gigabytes more", 1),
 ]
 LETTERS = 60  # characters on a line of the preferences, which are narrow
-ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "missing": "ERROR", "broken": "ERROR", "version": "ERROR"}
+ICONS = {"ok": "CHECKMARK", "unknown": "QUESTION", "installing": "TIME", "missing": "ERROR", "broken": "ERROR", "version": "ERROR"}
 
 
 def _choose_existing(preferences: "IRGSPP_Preferences", context: bpy.types.Context) -> None:
@@ -99,7 +99,7 @@ def draw_preferences(preferences: bpy.types.AddonPreferences, layout: bpy.types.
         layout.prop(preferences, "engine_python")
     elif preferences.engine_kind == "MANAGED":
         _draw_managed(preferences, layout)
-    engine = status()
+    engine = with_installation(status("here"))
     column = layout.column(align=True)
     for number, line in enumerate(textwrap.wrap(engine.text, LETTERS)):
         column.label(text=line, icon=ICONS[engine.state] if number == 0 else "BLANK1")
@@ -125,7 +125,6 @@ def _draw_managed(preferences: bpy.types.AddonPreferences, layout: bpy.types.UIL
         row.label(text=job.error, icon="ERROR")
         row.operator("irgspp.job_log", text="Open Log").job = job.id
     row = layout.row()
-    installed = managed.python().exists()
-    row.operator("irgspp.install_engine", text="Install Again" if installed else "Install Engine", icon="IMPORT")
+    row.operator("irgspp.install_engine", text="Install Again" if managed.is_installed() else "Install Engine", icon="IMPORT")
     row.operator("irgspp.open_engine_folder", icon="FILE_FOLDER")
     row.operator("irgspp.remove_engine", icon="TRASH")

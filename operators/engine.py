@@ -62,7 +62,7 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
         device = self.device if given("device") or chosen is None else chosen.install_device
         folder = self.wheels if given("wheels") or chosen is None else chosen.wheels_folder
         wheels = Path(bpy.path.abspath(folder)) if folder else None
-        if any(job.kind == "install" and not job.finished for job in jobs.all_jobs()):
+        if engine_check.being_installed():
             return refuse(self, "The engine is already being installed")
         index = chosen.package_index if chosen is not None else ""
         arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
@@ -82,7 +82,7 @@ class IRGSPP_OT_remove_engine(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where this extension has installed an engine and no job needs it."""
-        if not managed_engine.folder().exists():
+        if not managed_engine.is_installed():
             cls.poll_message_set("This extension has not installed an engine")
             return False
         if jobs.unfinished():
@@ -116,7 +116,7 @@ class IRGSPP_OT_open_engine_folder(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where this extension has installed an engine."""
         cls.poll_message_set("This extension has not installed an engine")
-        return managed_engine.folder().exists()
+        return managed_engine.is_installed()
 
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Open the folder in the file browser of the system."""

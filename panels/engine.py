@@ -6,6 +6,7 @@ from __future__ import annotations
 import bpy
 
 from ..irgspp_addon.engine import process as engine
+from ..irgspp_addon.jobs.engine_check import with_installation
 from ..irgspp_addon.user_folder import EXTENSION
 from .sidebar import SidebarPanel, button, say
 
@@ -23,8 +24,8 @@ class IRGSPP_PT_engine(SidebarPanel, bpy.types.Panel):
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the problem and the buttons that set up and check the engine."""
-        status, layout = engine.status(), self.layout
-        if status.state == "unknown":
+        status, layout = with_installation(engine.status()), self.layout
+        if status.state in ("unknown", "installing"):
             say(layout, context, status.text or "The engine has not been checked yet.", icon="TIME")
         else:
             column = layout.column()

@@ -15,6 +15,7 @@ from ..user_folder import user_folder
 from . import install
 from .child import detached
 from .install import MARKER, python_of
+from .preferences import PAGE
 
 ROOT = Path(__file__).resolve().parents[2]
 LOCK, HASHES, PROJECT = ROOT / "requirements.lock", ROOT / "requirements.sha256", ROOT / "pyproject.toml"
@@ -33,12 +34,23 @@ def python() -> Path:
     return python_of(folder())
 
 
-def problem() -> tuple[str, str] | None:
-    """Return why the managed engine can't be used, as state ("missing" or "version") and one line of text; None if it can be used."""
-    if not python().exists():
-        return "missing", "No engine: install one under Edit > Preferences > Add-ons > IRGS++, or choose an environment that has it"
+def is_installed() -> bool:
+    """Return True where this extension has installed an engine, whether it can be used or not."""
+    return folder().exists()
+
+
+def problem(place: str = PAGE) -> tuple[str, str] | None:
+    """Return why the managed engine can't be used, as state ("missing" or "version") and one line of text; None if it can be used.
+
+    Args:
+        place: where an engine is installed, for the text.
+    """
+    if not is_installed():
+        return "missing", f"No engine: install one {place}, or choose an environment that has it"
+    if not python().exists():  # a link to a Python that was removed, such as with an older Blender
+        return "missing", f"The installed engine can't be started, as the Python that it was made with is gone: install it again {place}"
     if marker().get("lock") != lock_digest():
-        return "version", "The installed engine belongs to another version of this extension: install it again in the preferences"
+        return "version", f"The installed engine belongs to another version of this extension: install it again {place}"
     return None
 
 
@@ -88,7 +100,7 @@ def remove() -> None:
         IrgsppError: if the folder can't be renamed, such as while a program uses it on Windows.
     """
     installed = folder()
-    if not installed.exists():
+    if not is_installed():
         raise InputError(installed, "there is no engine to remove")
     removed = installed.with_name(f"engine.removed-{secrets.token_hex(4)}")
     try:

@@ -7,6 +7,7 @@ from ..user_folder import EXTENSION
 
 # Blender as a module runs in a Python that may have the engine's libraries; Blender's own Python does not have them.
 DEFAULT_KIND = "MANAGED" if bpy.app.binary_path else "INTERPRETER"
+PAGE = "under Edit > Preferences > Add-ons > IRGS++"  # where an engine is chosen and installed, for messages
 
 
 def preferences() -> bpy.types.AddonPreferences | None:

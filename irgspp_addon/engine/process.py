@@ -21,10 +21,10 @@ from . import managed
 from .child import detached
 from .foreground import run_here
 from .managed import LAUNCHER
-from .preferences import DEFAULT_KIND, preferences
+from .preferences import DEFAULT_KIND, PAGE, preferences
 
 CHECK_SECONDS = 300.0  # the first import of torch from a slow disk takes long
-HOW_TO_GET_ONE = "choose one under Edit > Preferences > Add-ons > IRGS++"
+HOW_TO_GET_ONE = f"choose one {PAGE}"
 
 
 @dataclass(frozen=True)
@@ -32,7 +32,8 @@ class Status:
     """Status of the engine as far as it is known.
 
     Attributes:
-        state: "unknown" (not checked yet), "ok", "missing", "broken", or "version" (another version than this extension needs).
+        state: "unknown" (not checked yet), "ok", "missing", "broken", "version" (another version than this extension needs), or, in panels,
+            "installing".
         text: one line for the user.
         devices: answer of `irgspp devices --json`; empty if the engine was not asked.
     """
@@ -120,19 +121,23 @@ def run_engine(arguments: Sequence[str]) -> int:
 # --- status
 
 
-def status() -> Status:
-    """Return the engine's status without starting it; the files are looked up each time, so that a deleted engine is noticed at once."""
+def status(place: str = PAGE) -> Status:
+    """Return the engine's status without starting it; the files are looked up each time, so that a deleted engine is noticed at once.
+
+    Args:
+        place: where an engine is chosen and installed, for the text.
+    """
     kind, python = engine_kind(), engine_python()
     if not python:
-        return Status("missing", f"No engine: {HOW_TO_GET_ONE}")
+        return Status("missing", f"No engine: choose one {place}")
     if kind == "MANAGED":
-        problem = managed.problem()
+        problem = managed.problem(place)
         if problem is not None:
             return Status(*problem)
     try:
         key = _key(python)
     except OSError:
-        return Status("missing", f"{python}: can't be started, as it does not exist; {HOW_TO_GET_ONE}")
+        return Status("missing", f"{python}: can't be started, as it does not exist; choose one {place}")
     if key not in _known:
         _known.update(_remembered())
     return _known.get(key, Status("unknown", f"Not checked yet: {python}"))

@@ -19,6 +19,22 @@ def check_in_background() -> Job | None:
     return queue.start("check", "Check engine", None, ["devices", "--json"], data={"python": python})
 
 
+def being_installed() -> bool:
+    """Return True while the managed engine is being installed, or waits for it."""
+    return any(job.kind == "install" and not job.finished for job in queue.all_jobs())
+
+
+def with_installation(engine: engine_process.Status) -> engine_process.Status:
+    """Return the status that panels show: "installing" where the chosen engine does not work yet and is being installed.
+
+    Args:
+        engine: present status of the chosen engine.
+    """
+    if engine.usable or engine_process.engine_kind() != "MANAGED" or not being_installed():
+        return engine
+    return engine_process.Status("installing", "The engine is being installed")
+
+
 def finish_check(job: Job) -> None:
     """Remember the result of a check and remove its job from the list."""
     if job.data.get("python") == engine_process.engine_python():  # else another engine has been chosen meanwhile
