@@ -130,14 +130,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         soft_min=256,
         soft_max=4096,
     )
-    triangles: IntProperty(
-        name="Triangles",
-        description="Maximum number of triangles of the mesh; 0: no limit",
-        default=0,
-        min=0,
-        max=100_000_000,
-        soft_max=200_000,
-    )
+    triangles: IntProperty(**shared.TRIANGLES, max=100_000_000, soft_max=200_000)
     edited_mesh: PointerProperty(
         name="Edited Mesh",
         description="Mesh that you edited or modelled, to bake the textures onto. Empty: the run's own mesh",

@@ -75,6 +75,12 @@ SHOW_CONFIDENCE: Definition = {
 }
 TURNED: Definition = {"name": "Turntable", "description": "The object turns before a fixed camera", "items": TURNTABLE}
 
+TRIANGLES: Definition = {
+    "name": "Max Triangles",
+    "description": "Make a new mesh of at most so many triangles; 0 keeps the mesh as it is",
+    "default": 0,
+    "min": 0,
+}
 LODS: Definition = {
     "name": "Levels of Detail",
     "description": "Add versions with a half and a quarter of the triangles, which share the textures",

@@ -35,7 +35,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     size: IntProperty(
         name="Texture Size", description="Width and height of the textures in texels; 0: as before", default=0, min=0, max=16384
     )
-    triangles: IntProperty(name="Triangles", description="Maximum number of triangles of a new mesh; 0: keep the mesh", default=0, min=0)
+    triangles: IntProperty(**shared.TRIANGLES)
     mesh: StringProperty(
         name="Edited Mesh",
         description="Name of a mesh object, edited or newly modelled, that replaces the run's mesh; its UVs are kept",

@@ -75,6 +75,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
         row.enabled = edited is None  # an edited mesh is baked as it is
         row.prop(settings, "triangles")
         column.prop(settings, "edited_mesh")
+        say(column, context, mesh_text(settings.triangles, edited is not None), icon="INFO")
         button(
             self.layout,
             "irgspp.bake",
@@ -156,6 +157,18 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         material=settings.source,
         pack=settings.pack,
     )
+
+
+def mesh_text(triangles: int, edited: bool) -> str:
+    """Return what baking does with the mesh, in words.
+
+    Args:
+        triangles: largest number of triangles; 0 keeps the mesh.
+        edited: the user has chosen a mesh of their own.
+    """
+    if edited:
+        return "The edited mesh is baked as it is."
+    return f"A new mesh of at most {triangles:,} triangles." if triangles else "0 triangles: the mesh stays as it is."
 
 
 def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

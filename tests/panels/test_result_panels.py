@@ -92,10 +92,20 @@ def test_relighting_shows_progress_and_errors(settings, run_folder, monkeypatch)
 
 def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
     settings.run, settings.triangles = str(finished_run(run_folder)), 500
-    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["triangles"] == 500
+    drawn = draw(result.IRGSPP_PT_bake)
+    assert drawn.buttons("irgspp.bake")[0].values["triangles"] == 500 and "A new mesh of at most 500 triangles" in drawn.words
     settings.edited_mesh = bpy.data.objects.new("edited", bpy.data.meshes.new("edited"))
-    values = draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values
-    assert (values["mesh"], values["triangles"]) == ("edited", 0)
+    drawn = draw(result.IRGSPP_PT_bake)
+    values = drawn.buttons("irgspp.bake")[0].values
+    assert (values["mesh"], values["triangles"]) == ("edited", 0) and "edited mesh is baked as it is" in drawn.words
+
+
+def test_no_triangles_are_said_to_keep_the_mesh(settings, run_folder):
+    settings.run = str(finished_run(run_folder))
+    drawn = draw(result.IRGSPP_PT_bake)
+    assert drawn.buttons("irgspp.bake")[0].values["triangles"] == 0 and "0 triangles: the mesh stays as it is" in drawn.words
+    for properties in (settings.bl_rna.properties, bpy.ops.irgspp.bake.get_rna_type().properties):
+        assert properties["triangles"].name == "Max Triangles" and "0 keeps the mesh" in properties["triangles"].description
 
 
 def test_folder_contact_sheet_and_exported_file_are_at_hand(settings, tmp_path):
