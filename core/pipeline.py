@@ -4,12 +4,12 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .assets.blend_file import write_blend
 from .assets.mesh_files import save_mesh_files
-from .capture.second_cut import cut_again, support_plane_of
+from .capture.second_cut import MAX_CUTS, cut_again, edges_settled, support_plane_of
 from .capture.source import FOLDER as CAPTURE
 from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
@@ -183,9 +183,14 @@ class Job:
         """Cut the object out again, with the outlines and colours on which a quick fit finds the photographs to agree."""
         plane = support_plane_of(self.data.surroundings)
         assert plane is not None
-        rendered = quick_renderings(self.data, self.settings, self.progress)
-        views = cut_again(self.data.train, rendered, plane, self.data.bound)
-        kept = sum(after is before for after, before in zip(views, self.data.train, strict=True))
+        before = views = self.data.train
+        for _ in range(MAX_CUTS):
+            before = [replace(first, alpha=one.alpha) for first, one in zip(self.data.train, views, strict=True)]
+            rendered = quick_renderings(replace(self.data, train=before), self.settings, self.progress)
+            views = cut_again(before, rendered, plane, self.data.bound)
+            if edges_settled(before, views):
+                break
+        kept = sum(after is one for after, one in zip(views, before, strict=True))
         if kept:
             self.progress.message(f"{kept} of {len(views)} masks are kept as they were: the second cut would change them too much")
         self.folder.save(MASKS, {view.name: (view.alpha, view.mask_error, view.cut_by_colours) for view in views})

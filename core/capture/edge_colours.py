@@ -66,8 +66,9 @@ def edge_colours(
     own = continued_colour(rendered[0], solid, OBJECT_WINDOW * error, MAX_WINDOWS)
     plane, textured = plane_in_photograph(texture, colour, camera, outside)
     background = np.where(textured[..., None], plane, continued_colour(colour, outside, BACKGROUND_WINDOW * error, MAX_WINDOWS))
-    differences = [np.abs(colour - other).max(-1).astype(np.float32) for other in (own, background)]
-    return EdgeColours(*differences, *_coverage(colour, own, background), inside, outside, textured)
+    from_object, from_background = (np.abs(colour - other).max(-1).astype(np.float32) for other in (own, background))
+    coverage, reliability = _coverage(colour, own, background)
+    return EdgeColours(from_object, from_background, coverage, reliability, inside, outside, textured)
 
 
 def _coverage(colour: np.ndarray, own: np.ndarray, background: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -8,7 +8,7 @@ import cv2
 import numpy as np
 import pytest
 from irgspp.core.capture.mask_consistency import overlap
-from irgspp.core.capture.second_cut import cut_again, support_plane_of
+from irgspp.core.capture.second_cut import cut_again, edges_settled, support_plane_of
 from irgspp.core.scene.dataset import View
 from irgspp.core.scene.surroundings import Surroundings
 from patterned_table import BOUND, PLANE, cameras, photographs
@@ -74,3 +74,14 @@ def test_support_plane_is_that_of_the_surroundings():
     assert support_plane_of(None) is None
     assert support_plane_of(replace(around, position=around.position + np.float32(0.5))) is None
     assert support_plane_of(replace(around, normal=-up)) is None
+
+
+def test_edges_settle_once_a_cut_hardly_moves_them(scene):
+    true = [replace(view, alpha=mask) for view, mask in zip(views_of(scene), scene[2], strict=True)]
+    grown = [replace(view, alpha=cv2.dilate(view.alpha, np.ones((3, 3), np.uint8))) for view in true]
+    assert edges_settled(true, true) and not edges_settled(true, grown) and not edges_settled(grown, true)
+    assert not edges_settled([replace(view, mask_error=0.0) for view in true], grown)
+    wider = [replace(view, mask_error=5.0) for view in true]
+    assert edges_settled(wider, grown)  # by one pixel, a fifth of the error
+    empty = [replace(view, alpha=np.zeros_like(view.alpha)) for view in true]
+    assert edges_settled(empty, true)
