@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
+from ...io.grown_mask import grown_mask
 from ...scene.gaussians import Gaussians, surfels
 from ...scene.gbuffer import GBuffer
 from ...scene.reconstruction import Reconstruction
@@ -24,6 +25,7 @@ POINTS = 2.0  # surface points looked at, on an area of SPACING x SPACING
 MIN_GAP = 3.0  # distance to the nearest surfel from which a point is in a gap, voxels
 CLEARANCE = 2.0  # depth behind the surfels from which they hide a point, voxels
 MIN_HIDING_OPACITY = 0.5  # opacity of the surfels in a pixel that hides what lies behind
+MARGIN = 4.0  # pixels that a point keeps from the surfels' outline, so that new surfels do not stick out
 OPACITY = 0.95  # of the new surfels
 NEIGHBOURS = 16  # nearest surfels whose means give their radiance and materials
 
@@ -65,7 +67,7 @@ def _point_count(surface: Surface) -> int:
 
 
 def hidden(points: np.ndarray, view: GBuffer, clearance: float) -> np.ndarray:
-    """Return True for points (P, 3) that surfels hide from a view, or that lie outside its image.
+    """Return True for points (P, 3) that surfels hide from a view, away from their outline, or that lie outside its image.
 
     Args:
         points: world.
@@ -80,7 +82,8 @@ def hidden(points: np.ndarray, view: GBuffer, clearance: float) -> np.ndarray:
     inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
     at = row[inside].astype(int), column[inside].astype(int)
     result = np.ones(len(points), bool)
-    result[inside] = (view.alpha[at] >= MIN_HIDING_OPACITY) & (depth[inside] > view.depth[at] + clearance)
+    opaque = grown_mask((view.alpha >= MIN_HIDING_OPACITY).astype(np.uint8), -MARGIN) > 0
+    result[inside] = opaque[at] & (depth[inside] > view.depth[at] + clearance)
     return result
 
 

@@ -13,7 +13,7 @@ from irgspp.core.stages.second.unseen_surface import hidden, with_unseen_surface
 OPEN_BELOW = -0.7  # z under which the sphere has no surfels
 
 
-def camera(eye, size=64):
+def camera(eye, size=160):
     return Camera(size, size, 1.5 * size, 1.5 * size, size / 2, size / 2, look_at(eye, (0, 0, 0)))
 
 
@@ -43,7 +43,7 @@ def test_gap_that_no_view_shows_is_closed(opened):
     assert torch.allclose(new.position.norm(dim=0), torch.ones(new.count), atol=0.02)
     assert ((new.normals() * new.position).sum(0).abs() > 0.99).all()
     views = [GBufferCache(one, [FROM_BELOW])[0] for one in (start, found)]
-    assert views[0].depth[32, 32] > 3.5 and views[1].depth[32, 32] == pytest.approx(2.0, abs=0.1)
+    assert views[0].depth[80, 80] > 3.5 and views[1].depth[80, 80] == pytest.approx(2.0, abs=0.1)
 
 
 def test_new_surfels_look_like_the_nearest(opened):
@@ -70,3 +70,12 @@ def test_points_are_hidden_behind_the_surfels_or_outside_the_image(sphere):
     view = GBufferCache(sphere[0](), [camera((0.0, -3.0, 0.0))])[0]
     points = np.array([[0, -1.1, 0], [0, -0.99, 0], [0, 0, 0], [0, 1, 0], [0.95, 0, 0.95], [0, 0, 40.0], [0, -4.0, 0]])
     assert hidden(points, view, 0.05).tolist() == [False, False, True, True, False, True, True]
+
+
+def test_points_near_the_outline_are_not_hidden(sphere):
+    """Behind the sphere, 12 pixels inside its outline and 3: there a surfel would stick out."""
+    view = GBufferCache(sphere[0](), [camera((0.0, -3.0, 0.0))])[0]
+    outline = np.flatnonzero(np.diag(view.alpha) >= 0.5).max()  # along the image's diagonal, right and down
+    pixel = outline + 0.5 - np.array([12, 3]) / 2**0.5
+    points = np.array([[(at - 80) / 240 * 4, 1.0, (80 - at) / 240 * 4] for at in pixel])  # at depth 4
+    assert hidden(points, view, 0.05).tolist() == [True, False]
