@@ -48,6 +48,11 @@ class Surface:
         """Return all values by name, for a checkpoint."""
         return {"vertices": self.vertices, "normals": self.normals, "faces": self.faces, "voxel": self.voxel}
 
+    def areas(self) -> np.ndarray:
+        """Return the areas (F,) of the faces."""
+        corners = self.vertices[self.faces]
+        return 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+
     def samples(self, count: int, random: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
         """Draw points uniformly by area.
 
@@ -59,8 +64,7 @@ class Surface:
             Points (count, 3) and their unit normals (count, 3), float32.
         """
         corners = self.vertices[self.faces]
-        area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-        pick, weight = draw_on_triangles(area, count, random)
+        pick, weight = draw_on_triangles(self.areas(), count, random)
         normal = (self.normals[self.faces[pick]] * weight).sum(1)
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-12)
         return (corners[pick] * weight).sum(1).astype(np.float32), normal.astype(np.float32)

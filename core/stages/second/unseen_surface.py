@@ -44,7 +44,8 @@ def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views:
     Returns:
         The reconstruction with the new surfels last; itself where there are none.
     """
-    position, normal = surface.samples(_point_count(surface), np.random.default_rng(seed))
+    count = int(POINTS * surface.areas().sum() / (SPACING * surface.voxel) ** 2)
+    position, normal = surface.samples(count, np.random.default_rng(seed))
     gaussians = reconstruction.gaussians.to("cpu")
     near = nearest_neighbours(gaussians.position.T, torch.from_numpy(position), 1)[:, 0]
     distance = np.linalg.norm(gaussians.position.T[near].detach().numpy() - position, axis=1)
@@ -59,13 +60,6 @@ def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views:
     return replace(reconstruction, gaussians=reconstruction.gaussians.joined(new))
 
 
-def _point_count(surface: Surface) -> int:
-    """Return the number of points for the area of a surface."""
-    corners = surface.vertices[surface.faces]
-    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1).sum()
-    return int(POINTS * area / (SPACING * surface.voxel) ** 2)
-
-
 def hidden(points: np.ndarray, view: GBuffer, clearance: float) -> np.ndarray:
     """Return True for points (P, 3) that surfels hide from a view, away from their outline, or that lie outside its image.
 
@@ -74,16 +68,12 @@ def hidden(points: np.ndarray, view: GBuffer, clearance: float) -> np.ndarray:
         view: depth and opacity of the surfels.
         clearance: depth behind the surfels from which a point counts as hidden, world units.
     """
-    camera = view.camera
-    homogeneous = np.concatenate([points, np.ones((len(points), 1))], 1) @ camera.projection.T
-    depth = homogeneous[:, 2]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        column, row = np.floor(homogeneous[:, 0] / depth), np.floor(homogeneous[:, 1] / depth)
-    inside = (depth > 0) & (column >= 0) & (column < camera.width) & (row >= 0) & (row < camera.height)
-    at = row[inside].astype(int), column[inside].astype(int)
+    pixel, depth = view.camera.project(points)
+    inside = view.camera.in_image(pixel, depth)
+    column, row = pixel[inside].astype(int).T
     result = np.ones(len(points), bool)
     opaque = grown_mask((view.alpha >= MIN_HIDING_OPACITY).astype(np.uint8), -MARGIN) > 0
-    result[inside] = opaque[at] & (depth[inside] > view.depth[at] + clearance)
+    result[inside] = opaque[row, column] & (depth[inside] > view.depth[row, column] + clearance)
     return result
 
 
