@@ -36,8 +36,8 @@ ITERATIONS = 100  # of the cut
 COVERAGE_SIGMA = 0.6  # sigma in pixels of the blur that turns a binary mask into coverage
 MIN_AGREEMENT = 0.6  # IoU of both masks of a view below which the first is kept
 REMAINING_ERROR = 0.5  # of the masks' error after the cut
-# Mean distance, in errors of the masks, by which a cut moves their edges outward or inward, and from which it is repeated: .04 to .1 with
-# masks that were found, .4 to 1 where they are 1 or 2 pixels too small or too large.
+# Mean distance, in errors of the masks, by which a cut moves their edges outward or inward, and from which it is repeated. The masks found
+# of four captures move by .02 to .12; the same made 1 or 2 pixels too small or too large move by .4 to 1.1.
 MAX_EDGE_SHIFT = 0.3
 MAX_CUTS = 3  # cuts at most
 

@@ -3,7 +3,7 @@
 
 In the band a photograph is compared with the rendered object over the background, as in matting. The background is unknown behind the
 object, so it is continued from the pixels beside the band. Surfels beside the object can take the background's colour at no cost, so that
-outlines grow by .3 to .4 pixels. A mask that the colours have cut (`View.cut_by_colours`) is therefore followed, without a band.
+outlines grow by .2 to .4 pixels. A mask that the colours have cut (`View.cut_by_colours`) is therefore followed, without a band.
 """
 
 from __future__ import annotations

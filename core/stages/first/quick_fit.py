@@ -24,8 +24,8 @@ MAX_IMAGE_SIDE = 320  # longest side of the images, pixels
 def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
     """Fit surfels on the visual hull to the training views, and render them in all of these.
 
-    The fit follows the masks: with bands at their edges its outlines would be .5 to .7 pixels too wide, and so would those of the masks
-    that are cut by them.
+    The fit follows the masks: with bands at their edges its outlines would be .3 to .6 pixels wider, and the masks that are cut by them
+    .1 pixels.
 
     Args:
         dataset: views with masks.

@@ -6,7 +6,7 @@ The mesh is closed there, but the first stage has no surfels: light would leak o
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -30,7 +30,7 @@ OPACITY = 0.95  # of the new surfels
 NEIGHBOURS = 16  # nearest surfels whose means give their radiance and materials
 
 
-def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views: Iterable[GBuffer], seed: int) -> Reconstruction:
+def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views: Sequence[GBuffer], seed: int) -> Reconstruction:
     """Add surfels where the surface has none and no view can tell that there is nothing.
 
     Their radiance, the same in all directions, and their materials are the means of the nearest surfels.
@@ -38,7 +38,7 @@ def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views:
     Args:
         reconstruction: result of the first stage.
         surface: closed mesh that was fused from its depth.
-        views: its G-buffers at the training cameras; they are rendered only where the surface has gaps.
+        views: its G-buffers at the training cameras; looked up only while there are points in gaps.
         seed: seed of the points.
 
     Returns:
@@ -51,8 +51,10 @@ def with_unseen_surface(reconstruction: Reconstruction, surface: Surface, views:
     distance = np.linalg.norm(gaussians.position.T[near].detach().numpy() - position, axis=1)
     gap = distance > MIN_GAP * surface.voxel
     position, normal = position[gap], normal[gap]
-    for view in views if len(position) else ():
-        kept = hidden(position, view, CLEARANCE * surface.voxel)
+    for index in range(len(views)):
+        if not len(position):
+            break
+        kept = hidden(position, views[index], CLEARANCE * surface.voxel)
         position, normal = position[kept], normal[kept]
     if not len(position):
         return reconstruction
