@@ -86,7 +86,7 @@ def import_bake(job: Job) -> None:
 
 
 class IRGSPP_OT_export(bpy.types.Operator):
-    """Write a finished run's asset (.glb, .usdc, .usdz, .fbx, .obj), Blender scene (.blend), Gaussians (.ply) or light (.exr)."""
+    """Write a finished run's asset (.glb, .usdc, .usdz, .fbx, .obj), Blender scene (.blend), Gaussian splats (.ply) or light (.exr)."""
 
     bl_idname = "irgspp.export"
     bl_label = "Export IRGS++ Result"

@@ -122,7 +122,7 @@ FILES = (
     ("FBX (.fbx)", "FILE_3D", ".fbx"),
     ("OBJ (.obj)", "FILE_3D", ".obj"),
     ("Blender File (.blend)", "FILE_BLEND", ".blend"),
-    ("Gaussians (.ply)", "POINTCLOUD_DATA", ".ply"),
+    ("Gaussian Splats (.ply)", "POINTCLOUD_DATA", ".ply"),
     ("Recovered Light (.exr)", "WORLD", ".exr"),
 )
 

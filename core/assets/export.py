@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Export of a finished run: asset for other programs, Blender scene, Gaussians (PLY) or light (EXR)."""
+"""Export of a finished run: asset for other programs, Blender scene, splats (PLY) or light (EXR)."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from ..errors import InputError
 from ..io.atomic import atomic_file
 from ..progress.protocol import Progress, Silent
 from .blend_file import write_blend
-from .options import ASSETS, SUFFIXES, AssetOptions
+from .options import ASSETS, PARTS, SUFFIXES, AssetOptions
 
-COPIES = {".ply": "gaussians.ply", ".exr": "environment.exr"}
 
 
 def export(
@@ -22,7 +21,7 @@ def export(
 
     Args:
         run: folder of the finished run.
-        target: file to write; its suffix decides: .glb, .usd, .usdc, .usda, .usdz, .obj and .fbx asset, .blend scene, .ply Gaussians,
+        target: file to write; its suffix decides: .glb, .usd, .usdc, .usda, .usdz, .obj and .fbx asset, .blend scene, .ply splats,
             .exr light.
         material: what the material of a .blend reads, "textures" or "attributes".
         progress: asked whether to stop.
@@ -41,10 +40,12 @@ def export(
         raise InputError(run, "is not a run folder", "give a folder that `irgspp reconstruct` wrote")
     if not target.resolve().parent.is_dir():
         raise InputError(target.parent, "no such folder", "create it first")
-    if suffix in COPIES and options != AssetOptions():
+    if suffix in PARTS and options != AssetOptions():
         raise InputError(target, f"{suffix} has no levels of detail, hulls or textures", f"use {', '.join((*ASSETS, '.blend'))}")
-    if suffix in COPIES:
-        _copy(run / COPIES[suffix], target)
+    if suffix == ".exr":
+        _copy(run / "environment.exr", target)
+    elif suffix == ".ply":
+        _export_splats(run, target, progress)
     elif suffix == ".blend" and options == AssetOptions():
         write_blend(run, target, material, progress)
     else:
@@ -58,6 +59,12 @@ def _export_object(run: Path, target: Path, material: str, options: AssetOptions
         export_blend(run, target, material, options, progress)
     else:
         export_asset(run, target, options, progress)
+
+
+def _export_splats(run: Path, target: Path, progress: Progress) -> None:
+    from .splats import write_splats  # needs torch and scipy; the extension writes .blend files without
+
+    write_splats(run, target, progress)
 
 
 def _copy(source: Path, target: Path) -> None:

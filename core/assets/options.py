@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 from ..errors import InputError
 
 ASSETS = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".obj", ".fbx")  # the object for other programs
-PARTS = (".ply", ".exr")  # Gaussians and light
+PARTS = (".ply", ".exr")  # splats and light
 SUFFIXES = (*ASSETS, ".blend", *PARTS)
 BESIDE = (".usd", ".usdc", ".usda", ".obj")  # whose files hold no textures
 INSIDE = (".glb", ".usdz")  # whose files hold their textures always

@@ -21,7 +21,7 @@ from .option_values import count, length, positive, seconds, texels
 from .renderer_options import add_renderer_options
 
 Subparsers = Any  # what argparse returns has no public type
-EXPORTED = "ends with .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx (asset), .blend (scene), .ply (Gaussians) or .exr (light)"
+EXPORTED = "ends with .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx (asset), .blend (scene), .ply (Gaussian splats) or .exr (light)"
 
 
 def parser() -> argparse.ArgumentParser:
