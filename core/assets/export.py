@@ -13,7 +13,6 @@ from .blend_file import write_blend
 from .options import ASSETS, PARTS, SUFFIXES, AssetOptions
 
 
-
 def export(
     run: Path, target: Path, material: str = "textures", progress: Progress | None = None, options: AssetOptions | None = None
 ) -> None:

@@ -119,6 +119,6 @@ def test_a_cancelled_export_writes_nothing(run, tmp_path):
 
 def test_an_unfinished_run_is_refused_in_one_line(run, tmp_path):
     (run / "mesh.ply").unlink()
-    with pytest.raises(InputError, match="mesh.ply: no such file"):
+    with pytest.raises(InputError, match=r"mesh\.ply: no such file"):
         export(run, tmp_path / "o.ply")
     assert not (tmp_path / "o.ply").exists()
