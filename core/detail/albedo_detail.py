@@ -22,14 +22,13 @@ from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Choice, Settings
-from ..surface.bake import Texels
+from ..surface.mesh_texels import mesh_texels
 from ..surface.texturing import stoppable
 from .alignment import displacement
 from .candidates import Candidates, TexelView, add_candidates
 from .combination import combine
 from .evidence import Evidence
 from .mesh_depth import MeshDepth, render_mesh_depth
-from .mesh_texels import mesh_texels
 from .photographs import FullSizePhotograph, find_full_size_photographs
 from .radiometric_correction import fit_correction
 from .report import DetailReport
@@ -40,7 +39,6 @@ MIN_SIZE_RATIO = 1.25  # size of a photograph over that at the working resolutio
 MIN_PHOTOGRAPHS = 3  # photographs from which albedo can be told from what one of them shows by chance
 HELD_BACK_EVERY = 8  # one photograph in so many is held back as evidence
 MAX_HELD_BACK = 3  # photographs held back at most
-CHUNK = 1 << 20  # texels that are encoded at a time
 MAX_ALIGNED_TEXTURE = 1024  # largest side of the texture to which photographs are aligned, texels
 DEPTH_SIDE = 1600  # longest side of the depth maps that decide visibility, pixels
 # Weight of a texel's best photograph from which the texel takes all of its colour from the photographs, as a fraction of the median of
@@ -69,7 +67,7 @@ class AlbedoDetail:
         self._shift: dict[str, np.ndarray] = {}
         self.failed: dict[str, str] = {}
         self._rough: tuple[np.ndarray, np.ndarray] | None = None  # texture to which photographs are aligned
-        self._texels = mesh_texels(mesh, len(texture))
+        self._texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, len(texture))
         self.candidates = Candidates.empty(len(self._texels.index))
 
     def align(self, photographs: Sequence[FullSizePhotograph], step: Callable[[int], None]) -> None:
@@ -80,7 +78,8 @@ class AlbedoDetail:
             step: called with the number of photographs done; may raise.
         """
         size = min(self._texels.size, MAX_ALIGNED_TEXTURE)
-        texels = mesh_texels(self._mesh, size)
+        mesh = self._mesh
+        texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, size)
         candidates = Candidates.empty(len(texels.index))
         for number, photograph in enumerate(photographs):
             view = self._view(photograph)
@@ -173,14 +172,11 @@ class AlbedoDetail:
         usual = np.median(best[best > 0]) if (best > 0).any() else 1.0
         index = self._texels.index
         colours = np.empty((len(index), 3), np.uint8)
-        for begin in range(0, len(index), CHUNK):
-            part = slice(begin, begin + CHUNK)
+        for part in self._texels.chunks():
             certain = np.clip(best[part] / (CERTAIN_WEIGHT_RATIO * usual), 0, 1)[:, None]
             plain = self._albedo.reshape(-1, 3)[index[part]]
             colours[part] = srgb_eight_bits(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
-        size = self._texels.size
-        grid = Texels(size, index // size, index % size, self._texels.face, np.empty((0, 3)))
-        return replace(self._mesh, textures={**self._mesh.textures, "albedo": grid.image(colours)})
+        return replace(self._mesh, textures={**self._mesh.textures, "albedo": self._texels.image(colours)})
 
     def report(self, photographs: int, evidence: Evidence, applied: bool, why: str) -> DetailReport:
         """Describe what was done.

@@ -15,8 +15,8 @@ import numpy as np
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
+from ..surface.mesh_texels import MeshTexels
 from .mesh_depth import MeshDepth
-from .mesh_texels import MeshTexels
 from .photographs import LoadedPhotograph
 from .radiometric_correction import RadiometricCorrection
 from .texel_sampling import FISHEYE, PINHOLE, POLYNOMIAL, KeptSamples, LensImage, TexelSurface, WorkingView, sample_texels

@@ -12,8 +12,8 @@ from dataclasses import dataclass, field
 import cv2
 import numpy as np
 
+from ..surface.mesh_texels import MeshTexels
 from .candidates import Candidates
-from .mesh_texels import MeshTexels
 from .texel_sampling import CODES
 
 MIN_CORRELATION_GAIN = 0.02  # correlation with detail above that without, from which the detail is used

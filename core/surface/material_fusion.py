@@ -88,7 +88,7 @@ def fuse_materials(
         voxel: resolution of the surface, world units; sets how far behind a view's depth a point may lie and still be seen.
         step: called with the number of views done; may raise.
     """
-    points, normals = np.ascontiguousarray(points, np.float64), np.ascontiguousarray(normals, np.float64)
+    points, normals = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(normals, np.float32)
     known = len(views) > 0 and views[0].confidence is not None
     total, weight = np.zeros((len(points), CHANNELS + 3 * known), np.float32), np.zeros(len(points), np.float32)
     ranges = even_ranges(len(points), 4 * thread_count())
@@ -96,11 +96,11 @@ def fuse_materials(
         run_ranges(add_view, ranges, points, normals, voxel, _layers(view), total, weight)
         step(done + 1)
     unseen = weight <= 1e-6
-    values = total / np.where(unseen, 1, weight)[:, None]
+    total /= np.where(unseen, 1, weight)[:, None]
     if unseen.any():
-        values[unseen, :CHANNELS] = _nearest_samples(points[unseen], samples)
-    materials = np.clip(values[:, 3:], 0, 1)
-    normal, confidence = _oriented(values[:, :3], normals), materials[:, 5:] if known else None
+        total[unseen, :CHANNELS] = _nearest_samples(points[unseen], samples)
+    materials = np.clip(total[:, 3:], 0, 1, out=total[:, 3:])
+    normal, confidence = _oriented(total[:, :3], normals), materials[:, 5:] if known else None
     return FusedMaterials(normal, materials[:, :3], materials[:, 3], materials[:, 4], np.where(unseen, 0, weight), confidence)
 
 

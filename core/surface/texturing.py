@@ -15,8 +15,9 @@ from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
-from .bake import add_normal_detail, rasterise, tangent_space, tangents
+from .bake import add_normal_detail, normal_noise, tangent_space, tangents
 from .material_fusion import FusedMaterials, fuse_materials
+from .mesh_texels import MeshTexels, mesh_texels
 from .meshing import Triangles
 from .repair import facing_normals
 from .unwrap import unwrap
@@ -54,7 +55,8 @@ def textured_mesh(
         raise Cancelled("stopped during UV unwrapping")
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
-    normals = add_normal_detail(surface.normals, fused.normal, fused.weight > 0, settings.detail)
+    noise = normal_noise(surface.normals, fused.normal, fused.weight > 0)
+    normals = add_normal_detail(surface.normals, fused.normal, noise, settings.detail)
     normals = facing_normals(Triangles(surface.vertices, surface.faces), normals)
     mesh = _mesh_of(surface.vertices[source], normals[source], uvs, faces, fused.at(source))
     mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
@@ -142,24 +144,33 @@ def baked_textures(
         Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
         metallic and confidence (see `Mesh`), and where it is known (S, S, 3) material_confidence.
     """
-    texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
-    frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
-    points = texels.interpolate(mesh.vertices, mesh.faces)
-    normal = meshing.unit(texels.interpolate(mesh.normals, mesh.faces))
-    fused = fuse_materials(points, normal, views, samples, voxel, step)
-    side = frames[mesh.faces[texels.face, 0], 3]
-    tangent = texels.interpolate(frames[:, :3], mesh.faces)
-    tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
-    seen = fused.weight > 0
-    detail = np.where(seen[:, None], add_normal_detail(normal, fused.normal, seen, settings.detail), normal)
-    local = tangent_space(detail, normal, tangent, side)
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texture)
+    normals = texels.interpolated(mesh.normals, mesh.faces)
+    for part in texels.chunks():
+        normals[part] = meshing.unit(normals[part])
+    fused = fuse_materials(texels.interpolated(mesh.vertices, mesh.faces), normals, views, samples, voxel, step)
     images = {
         "albedo": texels.image(srgb_eight_bits(fused.albedo)),
         "roughness": texels.image(eight_bits(fused.roughness)),
         "metallic": texels.image(eight_bits(fused.metallic)),
-        "normal": texels.image(eight_bits(0.5 + 0.5 * local)),
+        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings.detail)),
         "confidence": texels.image(eight_bits(fused.confidence)),
     }
     if fused.material_confidence is not None:
         images["material_confidence"] = texels.image(eight_bits(fused.material_confidence))
     return images
+
+
+def _normal_codes(mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, strength: float) -> np.ndarray:
+    """Return the normals of P texels with detail as codes (P, 3) uint8 in tangent space; `normals` (P, 3) are the mesh's."""
+    frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
+    seen, codes = fused.weight > 0, np.empty(normals.shape, np.uint8)
+    noise = normal_noise(normals, fused.normal, seen)
+    for part in texels.chunks():
+        normal = normals[part].astype(np.float64)
+        detailed = np.where(seen[part, None], add_normal_detail(normal, fused.normal[part], noise, strength), normal)
+        side = frames[mesh.faces[texels.face[part], 0], 3]
+        tangent = texels.interpolate(frames[:, :3], mesh.faces, part)
+        tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
+        codes[part] = eight_bits(0.5 + 0.5 * tangent_space(detailed, normal, tangent, side))
+    return codes

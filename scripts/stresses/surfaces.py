@@ -17,8 +17,8 @@ from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.surface import Surface
 from irgspp.core.scene.triangle_tracer import TriangleTracer
 from irgspp.core.settings.schema import SurfaceSettings
-from irgspp.core.surface.bake import rasterise
 from irgspp.core.surface.extraction import extract_geometry
+from irgspp.core.surface.mesh_texels import mesh_texels
 from irgspp.core.surface.meshing import Triangles, cleaned, decimated, main_components, smoothed, vertex_normals
 from irgspp.core.surface.texturing import textured_mesh
 from scipy import sparse
@@ -114,13 +114,13 @@ def check_baking(
     measured.holds(f"{what}: all faces kept", len(mesh.faces) == len(surface.faces))
     measured.holds(f"{what}: UVs in the square", bool((mesh.uvs >= 0).all() and (mesh.uvs <= 1).all()))
     measured.at_most(f"{what}: normals' length off by", float(np.abs(np.linalg.norm(mesh.normals, axis=-1) - 1).max()), 1e-5)
-    texels = rasterise(mesh.uvs, mesh.faces, settings.texture)
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texture)
     measured.holds(f"{what}: texels", len(texels.face) > 0)
     a, b, c = (mesh.uvs[mesh.faces[:, k]].astype(np.float64) * settings.texture for k in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
     measured.at_least("texels per area", len(texels.face) / max(area, 1.0), 0.9)
     places = texels.interpolate(mesh.vertices, mesh.faces)
-    shown = decode_srgb(mesh.textures["albedo"][texels.row, texels.column] / 255.0)
+    shown = decode_srgb(mesh.textures["albedo"].reshape(-1, 3)[texels.index] / 255.0)
     error = np.abs(shown - colour_of(places)).max(-1)
     measured.at_most("colour off by, 95 %", float(np.quantile(error, 0.95)), 0.05)
     return mesh

@@ -6,10 +6,10 @@ import numpy as np
 from irgspp.core.detail import texel_sampling as kernels
 from irgspp.core.detail.candidates import DARK_FRACTION, Candidates, TexelView
 from irgspp.core.detail.combination import ALBEDO_FLOOR, ROUNDS
-from irgspp.core.detail.mesh_texels import MeshTexels
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.mesh import Mesh
+from irgspp.core.surface.mesh_texels import MeshTexels
 
 
 def nearest_triangles(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:

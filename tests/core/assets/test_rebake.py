@@ -23,7 +23,7 @@ from irgspp.core.scene.textures import load_textures, save_textures
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.first.initialization import surfels
-from irgspp.core.surface.bake import rasterise
+from irgspp.core.surface.mesh_texels import mesh_texels
 
 SETTINGS = with_overrides(Settings(), ["surface.voxels=40", "surface.triangles=1500", "surface.texture=64"])
 
@@ -78,8 +78,8 @@ def run(finished, tmp_path):
 def albedo_error(run):
     """Return the mean difference between the albedo texture and the true albedo at each texel, linear."""
     mesh, texture = load_mesh_ply(run / "mesh.ply"), load_textures(run / "textures")["albedo"] / 255.0
-    texels = rasterise(mesh.uvs, mesh.faces, len(texture))
-    linear = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4)[texels.row, texels.column]
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, len(texture))
+    linear = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4).reshape(-1, 3)[texels.index]
     return np.abs(linear - albedo_at(texels.interpolate(mesh.vertices, mesh.faces))).mean()
 
 

@@ -19,6 +19,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import DataSettings
 from irgspp.core.shading.specular_albedo import diffuse_fraction
 from irgspp.core.shading.split_sum import specular_radiance
+from irgspp.core.surface.mesh_texels import MeshTexels, mesh_texels
 from PIL import Image
 from scipy import ndimage
 
@@ -35,6 +36,10 @@ class Scene:
     mesh: Mesh
     reconstruction: Reconstruction
     truth: np.ndarray  # (TEXTURE, TEXTURE, 3) linear
+
+    def texels(self, size: int) -> MeshTexels:
+        """Texels of the mesh in a texture of `size` texels along a side."""
+        return mesh_texels(self.mesh.vertices, self.mesh.uvs, self.mesh.faces, size)
 
     def photographs(self) -> list[FullSizePhotograph]:
         found, missing = find_full_size_photographs(self.folder, SETTINGS, self.cameras())

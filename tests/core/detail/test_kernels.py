@@ -10,7 +10,6 @@ from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.detail.candidates import Candidates, TexelView, add_candidates
 from irgspp.core.detail.combination import combine
 from irgspp.core.detail.mesh_depth import render_mesh_depth
-from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.radiometric_correction import RadiometricCorrection
 from irgspp.core.detail.texel_sampling import CODES
 from irgspp.core.detail.vertex_shading import ViewShading
@@ -49,7 +48,7 @@ def test_samples_equal_the_definition(written, model):
     lens = replace(decoded.lens, **LENSES[model])
     assert isinstance(lens, Lens)
     decoded = replace(decoded, lens=lens)
-    texels, count = mesh_texels(written.mesh, 200), len(written.mesh.vertices)
+    texels, count = written.texels(200), len(written.mesh.vertices)
     size = decoded.camera.height, decoded.camera.width
     correction = RadiometricCorrection(
         np.array([1.1, 0.9, 1.2]), random.uniform(0.8, 1.2, (*size, 3)).astype(np.float32), random.random(size).astype(np.float32)
@@ -93,7 +92,7 @@ def test_an_outlier_hardly_counts():
 
 def test_the_best_candidates_are_kept(written):
     decoded = written.photographs()[3].load()
-    texels, count = mesh_texels(written.mesh, 64), len(written.mesh.vertices)
+    texels, count = written.texels(64), len(written.mesh.vertices)
     size = decoded.camera.height, decoded.camera.width
     shading = ViewShading(np.ones((count, 3), np.float32), np.zeros((count, 3), np.float32))
     depth = render_mesh_depth(written.mesh.vertices, written.mesh.faces, decoded.camera)

@@ -10,7 +10,6 @@ from irgspp.core.detail.albedo_detail import AlbedoDetail
 from irgspp.core.detail.candidates import Candidates
 from irgspp.core.detail.evidence import Evidence
 from irgspp.core.detail.mesh_depth import render_mesh_depth
-from irgspp.core.detail.mesh_texels import mesh_texels
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.detail.radiometric_correction import edge_weight, smooth_ratio
 from irgspp.core.detail.sharpness import relative_blur
@@ -86,7 +85,7 @@ def test_undistorted_photographs_match_their_pinhole_cameras(written, fisheye):
 
 
 def test_evidence_is_fine_detail_that_held_back_photographs_share(written):
-    texels, random = mesh_texels(written.mesh, 64), np.random.default_rng(0)
+    texels, random = written.texels(64), np.random.default_rng(0)
     count = len(texels.index)
     truth, noise, flat = 0.2 + 0.4 * random.random((count, 3)), 0.2 + 0.4 * random.random((count, 3)), np.full((count, 3), 0.4)
     colour, finest = np.round(0.7 * truth * CODES).astype(np.uint16)[:, None], np.full(count, 0.05, np.float32)
@@ -110,7 +109,7 @@ def test_parts_behind_the_camera_are_left_out():
 @pytest.mark.parametrize(("strength", "colour", "painted"), [(0.05, 0.0, False), (0.05, 0.5, True), (0.4, 0.0, True)])
 def test_weak_detail_without_colour_may_be_shading(written, strength, colour, painted):
     """All photographs agree about it, as they do about the shading of relief under a light that stands still."""
-    texels = mesh_texels(written.mesh, 128)
+    texels = written.texels(128)
     count, random = len(texels.index), np.random.default_rng(3)
     noise = random.normal(size=(2, count))
     albedo = 0.3 * np.exp(strength * noise[0])[:, None] * np.exp(strength * colour * noise[1][:, None] * [1, 0, -1])

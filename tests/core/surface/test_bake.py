@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unwrapping, texel rasterisation and tangent frames."""
+"""Unwrapping, tangent frames, and normals with detail."""
 
 import numpy as np
 import pytest
 import trimesh
 from irgspp.core.surface import bake
+from irgspp.core.surface.mesh_texels import mesh_texels
 from irgspp.core.surface.meshing import Triangles, vertex_normals
 from irgspp.core.surface.unwrap import unwrap
 
@@ -24,42 +25,13 @@ def test_unwrapped_faces_are_the_faces_of_the_mesh(sphere):
 
 
 def test_no_chart_is_mirrored_and_none_overlap(sphere):
-    _, _, faces, uvs = sphere
+    mesh, source, faces, uvs = sphere
     a, b, c = (uvs[faces[:, k]].astype(np.float64) for k in range(3))
     area = ((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]) / 2
     assert (area > 0).mean() > 0.999
-    texels = bake.rasterise(uvs, faces, 1024)
-    covered = len(texels.row) / 1024**2
+    texels = mesh_texels(mesh.vertices[source], uvs, faces, 1024)
+    covered = len(texels.index) / 1024**2
     assert covered == pytest.approx(area.sum(), rel=0.005)  # overlap would cover less than the areas' sum
-
-
-def test_texels_lie_in_their_triangle(sphere):
-    mesh, source, faces, uvs = sphere
-    texels = bake.rasterise(uvs, faces, 200)
-    assert texels.barycentric.min() > -1e-9
-    np.testing.assert_allclose(texels.barycentric.sum(-1), 1)
-    place = texels.interpolate(uvs.astype(np.float64), faces)
-    np.testing.assert_allclose(place[:, 0] * 200, texels.column + 0.5, atol=1e-6)
-    np.testing.assert_allclose((1 - place[:, 1]) * 200, texels.row + 0.5, atol=1e-6)
-    assert (np.linalg.norm(texels.interpolate(mesh.vertices[source], faces), axis=-1) > 0.98).all()
-
-
-def test_barycentric_coordinates_weigh_the_corners():
-    triangle = np.array([[[0, 0], [4, 0], [0, 2]], [[1, 1], [1, 3], [3, 1]], [[1, 1], [2, 2], [3, 3]]], float)
-    weight = np.array([[0.5, 0.25, 0.25], [0.1, 0.2, 0.7]])
-    point = (weight[..., None] * triangle[:2]).sum(1)
-    np.testing.assert_allclose(bake.barycentric(triangle, np.concatenate([point, [[0, 5]]]))[:2], weight)
-    assert np.isfinite(bake.barycentric(triangle[2:], np.array([[0.0, 5.0]]))).all()
-    assert bake.doubled_area(triangle).tolist() == [8, -4, 0]
-
-
-def test_image_fills_every_texel_with_the_nearest_value(sphere):
-    _, _, faces, uvs = sphere
-    texels = bake.rasterise(uvs, faces, 64)
-    image = texels.image(np.full(len(texels.row), 7, np.uint8))
-    assert image.shape == (64, 64) and (image == 7).all()
-    colour = texels.image(np.stack([texels.row, texels.column, texels.row], -1).astype(np.uint8))
-    np.testing.assert_array_equal(colour[texels.row, texels.column, 1], texels.column)
 
 
 def test_tangents_follow_u_and_v(sphere):
@@ -106,11 +78,13 @@ def test_detail_drops_noise_and_keeps_creases():
     fused[200:210] = [-1, 0, 0.0]
     fused /= np.linalg.norm(fused, axis=-1, keepdims=True)
     seen = np.ones(4000, bool)
-    kept = bake.add_normal_detail(normal, fused, seen, 1.0)
+    noise = bake.normal_noise(normal, fused, seen)
+    kept = bake.add_normal_detail(normal, fused, noise, 1.0)
     np.testing.assert_allclose(np.linalg.norm(kept, axis=-1), 1)
     assert np.linalg.norm(kept - normal, axis=-1)[210:].mean() < 0.3 * np.linalg.norm(fused - normal, axis=-1)[210:].mean()
     assert np.abs(kept - fused)[:200].max() < 0.12
     assert (kept[:, 2] >= np.sqrt(1 - bake.MAX_NORMAL_SINE**2) - 1e-9).all()
-    np.testing.assert_allclose(bake.add_normal_detail(normal, fused, seen, 0.0), normal)
-    unseen = bake.add_normal_detail(normal, fused, ~seen, 1.0)  # without a seen point, the noise is 0
+    np.testing.assert_allclose(bake.add_normal_detail(normal, fused, noise, 0.0), normal)
+    assert bake.normal_noise(normal, fused, ~seen) == 0  # without a seen point
+    unseen = bake.add_normal_detail(normal, fused, 0.0, 1.0)
     np.testing.assert_allclose(unseen[210:, 2], fused[210:, 2])
