@@ -134,3 +134,16 @@ def test_every_package_is_listed_for_installation():
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
     folders = {file.parent.relative_to(ROOT).as_posix().replace("/", ".") for file in SOURCES if file.parent != ROOT}
     assert set(project["tool"]["setuptools"]["packages"]) == {"irgspp", *(f"irgspp.{folder}" for folder in folders)}
+
+
+def test_every_other_file_of_the_packages_is_installed():
+    """Setuptools takes other files than sources only where pyproject.toml names them."""
+    patterns = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["setuptools"]["package-data"]
+    installed = {file for package, own in patterns.items() for pattern in own for file in (ROOT / package_folder(package)).glob(pattern)}
+    others = {file for part in PARTS for file in (ROOT / part).rglob("*") if file.is_file() and file.suffix not in (".py", ".pyc")}
+    assert {ROOT / "core" / "capture" / "report.html.jinja", ROOT / "core" / "demo_data" / "meta.json"} <= others <= installed
+
+
+def package_folder(name: str) -> Path:
+    """Folder of a package in the repository, which is the package irgspp itself."""
+    return Path(*name.split(".")[1:])
