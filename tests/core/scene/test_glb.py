@@ -9,7 +9,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from gltf_validator import gltf_problems
 from irgspp.core.scene.glb import save_glb
+from irgspp.core.surface.bake import tangents
 
 BLENDER = """
 import json, sys
@@ -34,6 +36,12 @@ print("RESULT" + json.dumps({
 def only_geometry(path) -> trimesh.Trimesh:
     (body,) = trimesh.load(path, process=False).geometry.values()
     return body
+
+
+def test_khronos_validator_finds_nothing(mesh, tmp_path):
+    mesh = replace(mesh, vertices=2 * mesh.vertices)  # else positions and normals are equal, which trimesh writes once
+    save_glb(mesh, tmp_path / "asset.glb", tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces))
+    assert gltf_problems(tmp_path / "asset.glb") == []
 
 
 def test_trimesh_reads_it_with_y_up(mesh, tmp_path):

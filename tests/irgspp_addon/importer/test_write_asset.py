@@ -8,6 +8,7 @@ import bpy
 import numpy as np
 import pytest
 from cycles_layers import render
+from gltf_validator import gltf_problems
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import straight_srgb
 from irgspp.core.scene.camera import Camera, look_at
@@ -18,6 +19,7 @@ from irgspp.irgspp_addon.importer.write_blend import Extras, write_blend
 from irgspp.irgspp_addon.world.light_to_world import world_from_map
 from mathutils import Matrix
 from relighting import see_through
+from usd_validator import usd_problems
 
 OFFSET = np.array([0.0, 0.0, 1.0])  # the sphere's foot is at -1
 READERS = {
@@ -100,6 +102,15 @@ def of_run(run_folder):
     vertex, faces = elements["vertex"], elements["face"]["vertex_indices"].reshape(-1)
     columns = [np.stack([vertex[name] for name in names], -1)[faces] for names in (("x", "y", "z"), ("nx", "ny", "nz"), ("s", "t"))]
     return ordered(columns[0] + OFFSET, *columns[1:])
+
+
+def test_khronos_validator_finds_nothing(written):
+    assert gltf_problems(written / "ball.glb") == []
+
+
+@pytest.mark.parametrize("suffix", ["usdc", "usdz"])
+def test_usd_validators_find_nothing(written, suffix):
+    assert usd_problems(written / f"ball.{suffix}") == []
 
 
 @pytest.mark.parametrize("suffix", READERS)
