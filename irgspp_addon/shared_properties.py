@@ -19,7 +19,7 @@ PRESETS = [
     ("paper", "Paper", "The published schedule: 50,000 steps, photographs of 800 pixels; hours, for a GPU", 2),
 ]
 MATERIALS = [
-    ("auto", "Find Out", "Try both material classes briefly and keep the one that reproduces held-out photographs better", 0),
+    ("auto", "Find Out", "Try both material classes briefly and keep the one that reproduces held-back photographs better", 0),
     ("low-gloss", "Low Gloss", "Cloth, wood, plaster, plastic: the object reflects no clear images", 1),
     ("glossy", "Glossy", "Metal, glaze, lacquer: the object reflects its surroundings", 2),
 ]

@@ -58,7 +58,7 @@ class FirstStageSettings:
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
-    stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-out views by which a trial fit must be better
+    stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
     open_edges: Annotated[float, Range(0, 1)] = 0.0  # first part of the schedule, in which normals at edges may disagree; 0: as published
@@ -69,7 +69,7 @@ class FirstStageSettings:
     trial_iterations: Annotated[int, Range(1)] = 250  # of each trial fit that decides between low-gloss and glossy
     trial_gaussians: Annotated[int, Range(16)] = 8_000  # of each trial fit
     trial_resolution: Annotated[int, Range(16)] = 100  # longest side of an image in a trial fit, pixels
-    trial_margin: Annotated[float, Range(0)] = 0.5  # dB of PSNR on held-out views by which low-gloss or metal must be better than glossy
+    trial_margin: Annotated[float, Range(0)] = 0.5  # dB of PSNR on held-back views by which low-gloss or metal must be better than glossy
 
 
 @dataclass(frozen=True)
