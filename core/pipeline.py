@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 from .assets.blend_file import write_blend
+from .assets.fitted_textures import fitted_textures, texture_line
 from .assets.mesh_files import save_mesh_files
 from .capture.second_cut import MAX_CUTS, cut_again, edges_settled, support_plane_of
 from .capture.source import FOLDER as CAPTURE
@@ -20,23 +21,25 @@ from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
+from .machine.cpu_memory import check_texture_memory
 from .machine.devices import ChosenDevice, choose_device, computing_on
-from .machine.disk_space import check_disk_space
+from .machine.disk_space import check_disk_space, check_texture_disk_space
 from .machine.job_time import estimate_seconds, in_words, record_job
 from .machine.peak_memory import peak_memory, reset_peak_memory
+from .machine.texture_size import TextureSize, choose_texture_size
 from .progress.protocol import Progress, Silent
 from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
 from .relight.relight_settings import RelightSettings
 from .rendering.gbuffer_cache import GBufferCache
-from .run_folder import RunFolder, check_claim
+from .run_folder import RunFolder, check_claim, read_run
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .scene.reconstruction import Reconstruction
 from .scene.surface import Surface
 from .settings import overrides
 from .settings.schema import Settings, paced
-from .settings.sizes import with_sizes
+from .settings.sizes import with_sizes, with_texture_size
 from .stages.common.memory_layout import MemoryLayout, fit_into_memory
 from .stages.common.pixel_rays import with_needed_rays
 from .stages.common.preview import surface_shape
@@ -80,7 +83,9 @@ def reconstruct(
     began = time.monotonic()
     reset_peak_memory()
     bare = needs_capture(dataset)
-    ready = None if bare else _read(dataset, run, settings, chosen, watcher)  # bad input is refused before anything is written
+    check_textures(run, settings)  # before photographs are read or captured, which takes minutes
+    size = _recorded_size(run) if resume else None
+    ready = None if bare else _read(dataset, run, settings, chosen, watcher, size)  # bad input is refused before anything is written
     folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
     settings = paced(settings)
     try:
@@ -89,8 +94,12 @@ def reconstruct(
             recorder, earlier = ProgressRecorder(folder, watcher), folder.spent
             if bare:
                 _capture(dataset, folder, settings, recorder)
-            data, memory = ready or _read(run / CAPTURE, run, settings, chosen, recorder)
+            data, memory, size = ready or _read(run / CAPTURE, run, settings, chosen, recorder, size)
+            folder.state.setdefault("textures", {"size": size.size, "why": size.why})
+            recorder.message(size.line())
+            plain = min(settings.surface.texels, size.size)
             settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
+            settings = with_texture_size(settings, size.size)
             timed = chosen.device.type == "cpu" and not earlier  # GPUs were not measured, and a resumed job has done a part before
             if timed and (seconds := estimate_seconds(settings, data)) is not None:
                 recorder.message(f"takes about {in_words(seconds)}")
@@ -99,7 +108,7 @@ def reconstruct(
                 deadline = None if settings.time is None else began + settings.time - earlier
                 folder.record("read", time.monotonic() - began - (folder.spent - earlier), peak_memory(), finished=True)
                 results = PhaseResults(folder, chosen.device)
-                job = Job(data, folder, settings, recorder, results, deadline, memory.resident)
+                job = Job(data, folder, settings, recorder, results, deadline, memory.resident, plain)
                 job.run()
             if timed:
                 _keep_time(settings, data, folder.spent - folder.seconds("capture"), recorder)
@@ -126,16 +135,41 @@ def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress:
     folder.run_phase("capture", work, progress)
 
 
-def _read(dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress) -> tuple[Dataset, MemoryLayout]:
-    """Load a dataset, and check that the job fits on the disk and into memory."""
+def check_textures(run: Path, settings: Settings) -> None:
+    """Check what is known before the photographs are read: that the textures fit into memory and on the disk.
+
+    Args:
+        run: run folder, which need not exist yet.
+        settings: of the job.
+
+    Raises:
+        InputError: if they do not.
+    """
+    check_texture_memory(settings.surface.texels, 0)
+    check_texture_disk_space(run, settings.surface)
+
+
+def _recorded_size(run: Path) -> TextureSize | None:
+    """Return the texture size that the first start of a run chose, which may have had more memory; None where it recorded none."""
+    textures = read_run(run).get("textures") if (run / "run.json").is_file() else None
+    return TextureSize(textures["size"], textures["why"]) if textures else None
+
+
+def _read(
+    dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress, size: TextureSize | None
+) -> tuple[Dataset, MemoryLayout, TextureSize]:
+    """Load a dataset, choose the texture size unless it is given, and check that the job fits on the disk and into memory."""
     if settings.second.brdf != "principled" and settings.second.solver != "joint":
         raise InputError("second.brdf", f"{settings.second.brdf} is of the joint optimisation alone", "add --set second.solver=joint")
     data = load_dataset(dataset, settings.data, progress)
     settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
     if settings.second.solver != "closed":
         check_joint(data.train)
+    size = size or choose_texture_size(settings, data, run)
+    settings = with_texture_size(settings, size.size)
     check_disk_space(run, settings, data.pixels(distorted=True))
-    return data, fit_into_memory(data, settings, device, progress)
+    check_texture_memory(size.size, data.pixels(), data.full_size_pixels)
+    return data, fit_into_memory(data, settings, device, progress), size
 
 
 @dataclass
@@ -149,6 +183,7 @@ class Job:
     results: PhaseResults
     deadline: float | None  # seconds on the monotonic clock
     resident: bool  # the training images stay on the device
+    plain_texels: int  # along a side of textures without detail of the full-size photographs
     unwrapping: UnwrapProcess | None = None  # of the surface, beside the second stage
 
     def run(self) -> None:
@@ -220,7 +255,7 @@ class Job:
         deadline = None if self.deadline is None else self.deadline - AFTER_FUSION_RATIO * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
-            mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texture
+            mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texels
             self.unwrapping = UnwrapProcess(mesh, texture, self.folder.path / UNWRAP)
         solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
@@ -236,6 +271,9 @@ class Job:
         cameras = {view.name: view.camera for view in self.data.train}
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()
+        why = self.folder.state["textures"]["why"]
+        mesh, self.folder.state["textures"] = fitted_textures(mesh, report, self.plain_texels, why)
+        self.progress.message(texture_line(self.folder.state["textures"]))
         save_mesh_files(mesh, self.folder.path)
 
     def scene(self) -> None:

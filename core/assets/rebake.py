@@ -13,9 +13,11 @@ import numpy as np
 from ..capture.source import posed_dataset
 from ..detail.albedo_detail import detailed_by_dataset
 from ..detail.report import DetailReport
-from ..errors import InputError, IrgsppError
+from ..errors import Cancelled, InputError, IrgsppError
 from ..io.file_lock import FileLock
+from ..machine.cpu_memory import check_texture_memory
 from ..machine.devices import best
+from ..machine.disk_space import check_texture_disk_space
 from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
@@ -34,6 +36,8 @@ from ..surface.meshing import Triangles, vertex_normals
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .blend_file import write_blend
+from .fitted_textures import texture_line, texture_state
+from .kept_bake import baked_size, drop_kept_bake, is_made_from_bake, keep_bake, mesh_at_size
 from .mesh_files import save_asset_glb
 
 PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
@@ -42,42 +46,86 @@ PARTIAL = "bake.part"  # folder in the run folder that is completed before any f
 def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: int | None = None, edited: Path | None = None) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
-    Without `triangles` and `edited` the mesh stays as it is and only its textures are baked again. If the work fails or is stopped, the
-    run stays as it was.
+    Without `triangles` and `edited` the mesh stays as it is. A size below that of the run's bake is then made from this bake, which the run
+    keeps, and the size of the bake itself is restored from there; any other size is baked. If the work fails or is stopped, the run stays
+    as it was.
 
     Args:
         run: folder of the finished run.
         progress: reporter; asked whether to stop.
-        size: texels along a side; None: as before.
+        size: texels along a side; None: bake at the size of the last bake.
         triangles: extract a new mesh from the Gaussians with at most so many.
         edited: PLY in the run's world frame that replaces the mesh, with its own UVs where it has any.
 
     Raises:
-        InputError: when an argument is bad, or the run is unfinished or in use.
+        InputError: when an argument is bad, the run is unfinished or in use, or the textures do not fit into memory or on the disk.
         Cancelled: when the user stops the work.
     """
     state = read_run(run)
     settings = overrides.from_dict(state["settings"], run / "run.json")
     if triangles is not None and edited is not None:
         raise InputError("--triangles", "can't be combined with --mesh", "decimate the mesh before")
-    changed = {name: value for name, value in (("texture", size), ("triangles", triangles)) if value is not None}
-    surface = dataclasses.replace(settings.surface, **changed)
-    overrides.check(dataclasses.replace(settings, surface=surface))
     if state.get("status") == "running" or not (run / "mesh.ply").is_file():
         raise InputError(run, "is not a finished run", "finish the reconstruction first")
+    surface = dataclasses.replace(settings.surface, texture=size or baked_size(run) or settings.surface.texels)
+    surface = surface if triangles is None else dataclasses.replace(surface, triangles=triangles)
+    settings = overrides.check(dataclasses.replace(settings, surface=surface))
+    kept = size is not None and triangles is None and edited is None and is_made_from_bake(run, size)
+    if not kept:
+        _check_fits(run, surface)
     folder = RunFolder(run, state, _lock(run))
     try:
-        mesh, reconstruction = _mesh(run, surface, triangles, edited, progress)
-        mesh, report = _detailed(mesh, reconstruction, run, dataclasses.replace(settings, surface=surface), str(state["dataset"]), progress)
-        _replace(run, mesh)
-        state["baked"] = {"texture": surface.texture, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
-        state["albedo_detail"] = report.state()
-        folder.write()
-        folder.log(f"baked again: {surface.texture} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
+        if kept:
+            _resize(folder, surface.texels, progress)
+        else:
+            _bake(folder, settings, triangles, edited, progress)
         _renew_blend(run, settings.export.material, progress)
     finally:
         shutil.rmtree(run / PARTIAL, ignore_errors=True)
         folder.close()
+
+
+def _bake(folder: RunFolder, settings: Settings, triangles: int | None, edited: Path | None, progress: Progress) -> None:
+    """Bake, and replace the run's mesh and textures."""
+    run, size = folder.path, settings.surface.texels
+    mesh, reconstruction = _mesh(run, settings.surface, triangles, edited, progress)
+    mesh, report = _detailed(mesh, reconstruction, run, settings, str(folder.state["dataset"]), progress)
+    _replace(run, mesh)
+    drop_kept_bake(run)
+    folder.state["baked"] = {"texture": size, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
+    folder.state["albedo_detail"] = report.state()
+    folder.state["textures"] = texture_state(mesh, size, "as set for the last bake")
+    folder.write()
+    progress.message(texture_line(folder.state["textures"]))
+    folder.log(f"baked again: {size} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
+
+
+def _resize(folder: RunFolder, size: int, progress: Progress) -> None:
+    """Replace the textures by others of a size that are made from the run's bake, or by the bake itself."""
+    run, baked = folder.path, baked_size(folder.path)
+    assert baked is not None
+    progress.phase("resize", 1)
+    mesh = mesh_at_size(run, size)
+    if progress.cancelled:
+        raise Cancelled("stopped while textures were resized")
+    if size < baked:
+        keep_bake(run, run / PARTIAL)
+    _replace(run, mesh)
+    if size == baked:
+        drop_kept_bake(run)
+    why = "as baked" if size == baked else f"made from the bake of {baked} texels, which textures/baked keeps"
+    folder.state["textures"] = texture_state(mesh, baked, why)
+    folder.write()
+    progress.step(1)
+    progress.message(texture_line(folder.state["textures"]))
+    folder.log(texture_line(folder.state["textures"]))
+
+
+def _check_fits(run: Path, settings: SurfaceSettings) -> None:
+    """Refuse textures that do not fit into memory or on the disk of the run, before any work."""
+    cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
+    check_texture_memory(settings.texels, sum(camera.width * camera.height for camera in cameras))
+    check_texture_disk_space(run, settings)
 
 
 def _lock(run: Path) -> FileLock:

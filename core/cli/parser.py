@@ -88,7 +88,7 @@ def _add_reconstruct(subparsers: Subparsers) -> None:
     one.add_argument(
         "--materials", choices=("auto", "low-gloss", "glossy"), help="material class of the object (default: auto, by trial fits)"
     )
-    texture = "texture size, texels along a side: 1k, 2k, 4k, 8k or a number (default: by the preset)"
+    texture = "texture size, texels along a side: 1k, 2k, 4k, 8k or a number (default: by the photographs' pixels on the object)"
     one.add_argument("--texture", type=texels, metavar="SIZE", help=texture)
     one.add_argument("--device", choices=("auto", "cpu", "cuda"), help="device to compute on (default: auto)")
     one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
@@ -145,7 +145,8 @@ def _add_export(subparsers: Subparsers) -> None:
 def _add_bake(subparsers: Subparsers) -> None:
     one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, or an edited mesh")
     _run_argument(one)
-    one.add_argument("--size", type=texels, metavar="N", help="texture size, texels along a side, such as 4k (default: as before)")
+    size = "texels along a side, such as 4k; textures smaller than the last bake are made from it (default: bake its size again)"
+    one.add_argument("--size", type=texels, metavar="N", help=size)
     one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most N triangles")
     one.add_argument(
         "--mesh", metavar="FILE", type=Path, help="PLY in the coordinates of the run's mesh.ply that replaces the mesh; its UVs are kept"

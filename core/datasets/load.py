@@ -222,7 +222,7 @@ def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool, mask_erro
     Raises:
         InputError: if the mask is damaged or leaves nothing.
     """
-    frame, size = prepared.frame, prepared.lens.size
+    frame, size, full = prepared.frame, prepared.lens.size, max(image.size)
     assert frame.image is not None
     if frame.mask is not None and masks:  # a mask file replaces an alpha channel, and keeps the colour around the object
         mask = undistort_mask(_mask(frame, image.size, size), prepared.lens)
@@ -235,8 +235,8 @@ def view_of(prepared: PreparedFrame, image: DecodedImage, masks: bool, mask_erro
         raise InputError(frame.mask if frame.mask and masks else frame.image, "is transparent everywhere")
     error = mask_error * max(size) if masks and frame.mask is not None else 0.0  # an alpha channel may hide the colours beside the object
     about = (frame.lens.distorted, frame.light, frame.gain, error)
-    turned = frame.light_rotation
-    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about, light_rotation=turned)
+    more = {"reduction": full / max(size), "light_rotation": frame.light_rotation}
+    return View(prepared.name, prepared.camera, frame.image, image.colour, image.alpha, *about, **more)
 
 
 def _mask(frame: Frame, image: tuple[int, int], size: tuple[int, int]) -> np.ndarray:

@@ -10,9 +10,10 @@ import numpy as np
 
 from ..machine.cpu_memory import estimate_memory
 from ..machine.job_time import estimate_seconds, in_words
+from ..machine.texture_size import size_by_pixels
 from ..scene.dataset import Dataset, View
 from ..settings.schema import PRESETS
-from ..settings.sizes import with_sizes
+from ..settings.sizes import with_sizes, with_texture_size
 
 SHOWN = 5  # lines of one kind before the rest is only counted
 
@@ -81,9 +82,10 @@ def _jobs(dataset: Dataset) -> dict[str, dict[str, Any]]:
     """Estimate time and memory of a reconstruction on the CPU with each preset whose time is known."""
     jobs = {}
     for name, settings in PRESETS.items():
-        seconds = estimate_seconds(settings, dataset)
+        sized = with_texture_size(settings, size_by_pixels(settings, dataset).size)
+        seconds = estimate_seconds(sized, dataset)
         if seconds is not None:
-            sized = with_sizes(settings, dataset.object_pixels if dataset.has_alpha else None)
+            sized = with_sizes(sized, dataset.object_pixels if dataset.has_alpha else None)
             memory = estimate_memory(sized, dataset.pixels())
             text = f"about {in_words(seconds)}, {memory / 2**30:.1f} GiB of memory"
             jobs[name] = {"seconds": round(seconds), "memory": memory, "text": text}

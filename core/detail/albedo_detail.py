@@ -22,6 +22,7 @@ from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Choice, Settings
+from ..settings.sizes import takes_photograph_detail
 from ..surface.mesh_texels import mesh_texels
 from ..surface.texturing import stoppable
 from .alignment import displacement
@@ -35,7 +36,6 @@ from .report import DetailReport
 from .sharpness import relative_blur
 from .vertex_shading import VertexShading, ViewShading
 
-MIN_SIZE_RATIO = 1.25  # size of a photograph over that at the working resolution, from which it may hold detail that the Gaussians don't
 MIN_PHOTOGRAPHS = 3  # photographs from which albedo can be told from what one of them shows by chance
 HELD_BACK_EVERY = 8  # one photograph in so many is held back as evidence
 MAX_HELD_BACK = 3  # photographs held back at most
@@ -216,7 +216,7 @@ def detailed(
     photographs = _readable(photographs, progress)
     if len(photographs) < MIN_PHOTOGRAPHS:
         return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
-    if choice == "auto" and np.median([one.finer for one in photographs]) < MIN_SIZE_RATIO:
+    if not takes_photograph_detail(choice, float(np.median([one.finer for one in photographs]))):
         # Relief that the Gaussians shade would become albedo, and nothing be gained.
         return mesh, DetailReport(False, "the photographs are not larger than the working resolution (data.resolution)")
     progress.phase("detail", 2 * len(photographs))

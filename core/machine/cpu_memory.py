@@ -17,7 +17,9 @@ PHOTOGRAPH = 40  # bytes per pixel: colour and alpha, goals of the normals
 PREPARED, MOST_PREPARED = 89, 2 << 30  # bytes per pixel, and at most: training views and G-buffers, which are kept up to a limit
 GAUSSIAN = 4 * 63 * 4 + 500  # bytes: parameters, gradients, two moments; entries in tile lists
 TRACING = 400 * MIB  # hits of MOST_RAYS rays
-TEXEL = 160  # bytes while textures are baked
+TEXEL = 180  # bytes while textures are baked: peaks of 0.9, 1.7 and 3.7 GiB at 1024, 2048 and 4096 texels
+# Bytes while they take detail: candidates and their texels; a decoded photograph, its reductions and maps. Peaks of 1.3, 1.6 and 2.5 GiB.
+DETAIL_TEXEL, DETAIL_PIXEL = 75, 40
 MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14  # traced at once
 USABLE = 0.95  # fraction of the free memory that a job may plan with
 CGROUPS = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
@@ -51,8 +53,40 @@ def estimate_memory(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> i
     views = second.points * second.views * texels * 4 * 5  # light rows of each view, and equations of the same size
     points = second.points * 4 * texels * 4 * 6  # incoming radiance of each point from all directions
     stored = pixels * PHOTOGRAPH + min(pixels * PREPARED, MOST_PREPARED) + settings.first.gaussians * GAUSSIAN
-    work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texture**2 * TEXEL)
+    work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texels**2 * TEXEL)
     return LIBRARIES + stored + work
+
+
+def texture_memory(texels: int, pixels: int, photograph: float = 0.0) -> int:
+    """Estimate the peak memory in bytes of the baking of textures and, after it, of their detail, libraries included.
+
+    Args:
+        texels: along a side of each texture.
+        pixels: number of pixels of all views together.
+        photograph: number of pixels of a full-size photograph from which they take detail.
+    """
+    detail = texels**2 * DETAIL_TEXEL + round(photograph * DETAIL_PIXEL)
+    return LIBRARIES + min(pixels * PREPARED, MOST_PREPARED) + max(texels**2 * TEXEL, detail)
+
+
+def check_texture_memory(texels: int, pixels: int, photograph: float = 0.0, free: FreeMemory | None = None) -> None:
+    """Check that textures fit into main memory, where they are baked on any device.
+
+    Args:
+        texels: along a side of each texture.
+        pixels: number of pixels of all views together; 0 where they are not known yet.
+        photograph: number of pixels of a full-size photograph from which they take detail; 0 where it is not known yet.
+        free: the memory to fit into; None measures it.
+
+    Raises:
+        InputError: if they do not.
+    """
+    available, used = free or free_memory(), resident_memory()
+    needed = texture_memory(texels, pixels, photograph)
+    if needed - used > USABLE * available.size:
+        usable = f"but only {(available.size + used) / 2**30:.1f} GiB are available ({available.limit})"
+        what = f"textures of {texels} texels need about {needed / 2**30:.1f} GiB to be baked, {usable}"
+        raise InputError("memory", what, "choose a smaller texture size, or close other programs")
 
 
 def rays_that_fit(settings: Settings, pixels: int, free: FreeMemory | None = None) -> int:
@@ -71,7 +105,7 @@ def rays_that_fit(settings: Settings, pixels: int, free: FreeMemory | None = Non
         if rays <= FEWEST_RAYS:
             needed = f"{estimate_memory(settings, pixels, rays) / 2**30:.1f} GiB"
             usable = f"but only {(available.size + used) / 2**30:.1f} GiB are available ({available.limit})"
-            fix = "close other programs, or lower data.resolution, first.gaussians or second.points with --set"
+            fix = "close other programs, or lower data.resolution, first.gaussians, second.points or surface.texture with --set"
             raise InputError("memory", f"the job needs about {needed}, {usable}", fix)
         rays //= 2
     return rays

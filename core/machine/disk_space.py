@@ -7,7 +7,7 @@ import shutil
 from pathlib import Path
 
 from ..errors import InputError
-from ..settings.schema import Settings
+from ..settings.schema import Settings, SurfaceSettings
 
 MEGABYTE = 1_000_000
 PARAMETERS = 63  # of a Gaussian; Adam stores two moments of each
@@ -29,10 +29,13 @@ def estimate_disk_space(settings: Settings, undistorted: int) -> int:
     gaussians = settings.first.gaussians
     checkpoints = 2 * 3 * gaussians * PARAMETERS * 4  # the present one, and the next until it has replaced that
     results = 2 * gaussians * COLUMNS * 4  # of both stages
-    surface = settings.surface
-    bare = 8 * surface.voxels**2 * (VERTEX + 2 * TRIANGLE) // 4  # approximately the fused surface before decimation
-    asset = COPIES * (surface.triangles * (VERTEX // 2 + TRIANGLE) + surface.texture**2 * TEXEL)
-    return int(checkpoints + results + bare + asset + undistorted * PHOTOGRAPH + REST)
+    bare = 8 * settings.surface.voxels**2 * (VERTEX + 2 * TRIANGLE) // 4  # approximately the fused surface before decimation
+    return int(checkpoints + results + bare + texture_disk_space(settings.surface) + undistorted * PHOTOGRAPH + REST)
+
+
+def texture_disk_space(surface: SurfaceSettings) -> int:
+    """Estimate the bytes of a mesh with its textures in all files of a run folder that hold them."""
+    return COPIES * (surface.triangles * (VERTEX // 2 + TRIANGLE) + surface.texels**2 * TEXEL)
 
 
 def check_disk_space(run: Path, settings: Settings, undistorted: int) -> None:
@@ -46,12 +49,32 @@ def check_disk_space(run: Path, settings: Settings, undistorted: int) -> None:
     Raises:
         InputError: if there is not enough free space.
     """
-    existing = next(p for p in (run, *run.absolute().parents) if p.exists())
     used = sum(file.stat().st_size for file in run.rglob("*") if file.is_file()) if run.is_dir() else 0
-    needed, free = estimate_disk_space(settings, undistorted) - used, shutil.disk_usage(existing).free
+    needed, free = estimate_disk_space(settings, undistorted) - used, free_disk_space(run)
     if needed > free:
         what = f"the job needs about {_formatted(needed)} of disk space, of which {_formatted(free)} are free"
         raise InputError(run, what, "free some disk space, or choose a folder on another disk")
+
+
+def check_texture_disk_space(run: Path, surface: SurfaceSettings) -> None:
+    """Check that the disk has enough free space for textures that are written before they replace others.
+
+    Args:
+        run: the run folder.
+        surface: settings with the texture size.
+
+    Raises:
+        InputError: if there is not enough free space.
+    """
+    needed, free = texture_disk_space(surface), free_disk_space(run)
+    if needed > free:
+        what = f"textures of {surface.texels} texels need about {_formatted(needed)} of disk space, of which {_formatted(free)} are free"
+        raise InputError(run, what, "free some disk space, or choose a smaller size")
+
+
+def free_disk_space(run: Path) -> int:
+    """Return the free bytes of the disk of a folder, which need not exist yet."""
+    return shutil.disk_usage(next(p for p in (run, *run.absolute().parents) if p.exists())).free
 
 
 def _formatted(size: int) -> str:

@@ -11,7 +11,7 @@ from pathlib import Path
 from ..io.atomic import write_atomic
 from ..scene.dataset import Dataset
 from ..settings.schema import Settings
-from ..settings.sizes import gaussians_at_start, triangles_of_mesh, voxels_along
+from ..settings.sizes import gaussians_at_start, takes_photograph_detail, triangles_of_mesh, voxels_along
 from .cache_folder import private_folder
 from .thread_pool import thread_count
 
@@ -23,6 +23,9 @@ TRIAL_STEP, START_STEP = 0.014, 0.025  # of a trial fit that compares classes, a
 LONGEST = 1.5  # longest side of an object in roots of its area: 1.25 to 1.9 on six scenes
 SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
+USUAL_TEXTURE = 1024  # texels along a side of a bake that these include
+TEXEL = 2.4e-6  # of a larger bake, and of its detail beside the photographs: 42 s of one core at 4096 with 19 views, 3 s at 1024
+DETAIL_PIXEL = 1.4e-7  # of a full-size photograph, in each of the two passes of the albedo detail
 SOLVER = 14.0  # at the balanced preset; texels of the light solved for enter by their cube
 NORMALS_TRIANGLE = 1.6e-4  # of the shading normals, for each triangle of the mesh
 PAINT = 4.0  # materials of the Gaussians
@@ -76,11 +79,24 @@ def fixed_seconds(settings: Settings, data: Dataset) -> float:
     second, pixels = settings.second, _object_pixels(data, settings.data.resolution) or 0.0
     voxels = voxels_along(settings.surface, LONGEST * math.sqrt(pixels))
     surface = SURFACE * (voxels / 192) ** 2 + _fitted_pixels(data, settings.data.resolution) * PHOTOGRAPH_PIXEL
+    surface += larger_texture_seconds(settings) + detail_seconds(settings, data)
     if second.solver == "joint":
         return surface + END
     solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
     normals = triangles_of_mesh(settings.surface, pixels) * NORMALS_TRIANGLE
     return surface + solver + normals + PAINT + second.normal_iterations * step_seconds(settings, data) + END
+
+
+def larger_texture_seconds(settings: Settings) -> float:
+    """Estimate how much longer textures take than those of USUAL_TEXTURE texels; `settings` has the texture size."""
+    return max(0, settings.surface.texels**2 - USUAL_TEXTURE**2) * TEXEL
+
+
+def detail_seconds(settings: Settings, data: Dataset) -> float:
+    """Estimate the time for decoding and sampling the full-size photographs; arguments as of `reference_seconds`."""
+    if not takes_photograph_detail(settings.surface.albedo_detail, data.full_size_ratio(settings.data.resolution)):
+        return 0.0
+    return 2 * DETAIL_PIXEL * len(data.train) * data.full_size_pixels
 
 
 def schedule_seconds(settings: Settings, data: Dataset) -> float:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -29,6 +30,7 @@ class View:
         gain: linear exposure gain (3,) of the file's colours that the dataset states, relative to the other photographs; else None.
         mask_error: distance in pixels by which the edge of `alpha` may be wrong; `colour` then holds the photograph on both sides of it.
         cut_by_colours: the photograph's own colours decided the edge of `alpha`, so that a fit follows the mask there.
+        reduction: size of the file over that of `colour`, >= 1 unless the file was enlarged.
         light_rotation: (3, 3) float64 rotation from the world to the frame of the light, where the light turns relative to the object
             (on a turntable); None where it stands still.
     """
@@ -43,6 +45,7 @@ class View:
     gain: np.ndarray | None = None
     mask_error: float = 0.0
     cut_by_colours: bool = False
+    reduction: float = 1.0
     light_rotation: np.ndarray | None = None
 
 
@@ -115,7 +118,42 @@ class Dataset:
         counts = [float(v.alpha.sum()) if masked and v.alpha is not None else v.camera.width * v.camera.height for v in self.train]
         return sum(counts) / max(1, len(counts))
 
+    @property
+    def reduction(self) -> float:
+        """Size of the training photographs' files over that of the views, median."""
+        return float(np.median([view.reduction for view in self.train])) if self.train else 1.0
+
+    @property
+    def full_size_pixels(self) -> float:
+        """Mean number of pixels of the training photographs' files."""
+        counts = [view.camera.width * view.camera.height * view.reduction**2 for view in self.train]
+        return sum(counts) / max(1, len(counts))
+
+    def full_size_ratio(self, resolution: int) -> float:
+        """Return the size of the training photographs' files over that at a resolution, >= 1.
+
+        Args:
+            resolution: longest side of a reduced image, pixels.
+        """
+        full = self.reduction * max((max(view.camera.width, view.camera.height) for view in self.train), default=1)
+        return full / min(full, resolution)
+
+    @property
+    def outline_pixels(self) -> float:
+        """Mean number of pixels of a training view that show the object: by its mask, else by the outline of its bounding sphere."""
+        if self.has_alpha:
+            return self.object_pixels
+        counts = [_sphere_pixels(view.camera, self.bound) for view in self.train]
+        return sum(counts) / max(1, len(counts))
+
     def pixels(self, distorted: bool = False) -> int:
         """Count the pixels of all photographs, or only of those that a lens distorted and that were resampled."""
         views = (view for view in (*self.train, *self.test) if view.distorted or not distorted)
         return sum(view.camera.width * view.camera.height for view in views)
+
+
+def _sphere_pixels(camera: Camera, bound: Bound) -> float:
+    """Return the pixels that the outline of a sphere covers, at most all of the image."""
+    distance = float(np.linalg.norm(camera.centre - np.asarray(bound.centre)))
+    radius = camera.fx * bound.radius / max(distance, bound.radius)
+    return min(math.pi * radius**2, float(camera.width * camera.height))

@@ -120,7 +120,15 @@ class SurfaceSettings:
     albedo_detail: Choice = "auto"  # albedo from full-size photographs; auto: where they are larger and held-back ones agree better
     triangles: Annotated[int, Range(100, 100_000_000)] = 100_000  # largest number after decimation
     triangles_per_pixel: Annotated[float, Range(0)] = 2.5  # of these, for each pixel of the object by its masks; 0: always `triangles`
-    texture: Annotated[int, Range(16, 16384)] = 1024  # texels along a side of each texture
+    # Texels along a side of each texture; None: by the pixels of the full-size photographs that show the object, within the two below.
+    texture: Annotated[int | None, Range(16, 16384)] = None
+    texture_least: Annotated[int, Range(16, 16384)] = 1024  # also where the photographs are no larger than the working resolution
+    texture_most: Annotated[int, Range(16, 16384)] = 4096
+
+    @property
+    def texels(self) -> int:
+        """Texels along a side of each texture; the least number where none is chosen yet."""
+        return self.texture_least if self.texture is None else self.texture
 
 
 @dataclass(frozen=True)
@@ -167,7 +175,7 @@ PRESETS: dict[str, Settings] = {
         data=replace(DataSettings(), resolution=320),
         first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
         second=replace(SecondStageSettings(), points=1500, iterations=100, radiance_iterations=50, normal_iterations=60),
-        surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture=512),
+        surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture_least=512, texture_most=1024),
     ),
     "balanced": Settings(),
     "high": Settings(  # detail of large photographs, for a job over night
@@ -175,7 +183,9 @@ PRESETS: dict[str, Settings] = {
         data=replace(DataSettings(), resolution=1600),
         first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, gaussians_per_pixel=0.0),
         second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
-        surface=replace(SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, triangles_per_pixel=0.0, texture=4096),
+        surface=replace(
+            SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, triangles_per_pixel=0.0, texture_least=4096, texture_most=8192
+        ),
     ),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",

@@ -121,6 +121,21 @@ def texel_owners(uvs: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndar
     return corners, owner
 
 
+def mean_texel_side(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray, size: int) -> float:
+    """Return the mean side of a texel on a surface, world units: the root of the surface's area over the texels that cover it.
+
+    Args:
+        vertices: (V, 3) world.
+        faces: (F, 3).
+        uvs: (V, 2) in 0..1.
+        size: texels along a side of the texture.
+    """
+    corners = vertices[faces].astype(np.float64)
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
+    texels = np.abs(doubled_area(uvs[faces].astype(np.float64))).sum() * size**2
+    return float(np.sqrt(area / max(texels, 1e-12)))
+
+
 def barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
     """Compute barycentric coordinates.
 

@@ -47,7 +47,7 @@ def textured_mesh(
     """
     progress.phase("unwrap", 1)
     if unwrapping is None:
-        source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texture)
+        source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texels)
     else:
         source, faces, uvs = unwrapping.result(lambda: progress.cancelled)
     progress.step(1)
@@ -144,7 +144,7 @@ def baked_textures(
         Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
         metallic and confidence (see `Mesh`), and where it is known (S, S, 3) material_confidence.
     """
-    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texture)
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texels)
     normals = texels.interpolated(mesh.normals, mesh.faces)
     for part in texels.chunks():
         normals[part] = meshing.unit(normals[part])

@@ -114,9 +114,9 @@ def check_baking(
     measured.holds(f"{what}: all faces kept", len(mesh.faces) == len(surface.faces))
     measured.holds(f"{what}: UVs in the square", bool((mesh.uvs >= 0).all() and (mesh.uvs <= 1).all()))
     measured.at_most(f"{what}: normals' length off by", float(np.abs(np.linalg.norm(mesh.normals, axis=-1) - 1).max()), 1e-5)
-    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texture)
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texels)
     measured.holds(f"{what}: texels", len(texels.face) > 0)
-    a, b, c = (mesh.uvs[mesh.faces[:, k]].astype(np.float64) * settings.texture for k in range(3))
+    a, b, c = (mesh.uvs[mesh.faces[:, k]].astype(np.float64) * settings.texels for k in range(3))
     area = np.abs((b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]).sum() / 2
     measured.at_least("texels per area", len(texels.face) / max(area, 1.0), 0.9)
     places = texels.interpolate(mesh.vertices, mesh.faces)

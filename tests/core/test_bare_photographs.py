@@ -12,6 +12,7 @@ from irgspp.core import pipeline
 from irgspp.core.capture import capture as capturing
 from irgspp.core.capture.source import FOLDER, posed_dataset
 from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.machine import cpu_memory
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
@@ -77,6 +78,14 @@ def test_photographs_are_captured_into_the_run_and_read_from_there(undisturbed, 
     assert data.format == "capture" and data.path == run / FOLDER == posed_dataset(photographs, run)
     assert [view.name for view in (*data.train, *data.test)] == ["photo 1", "photo 2", "photo 3", "photo 0"]
     assert sorted(path.name for path in photographs.iterdir()) == [f"photo {i}.png" for i in range(COUNT)]  # nothing is written there
+
+
+def test_textures_that_do_not_fit_are_refused_before_the_capture(photographs, stages, tmp_path, monkeypatch):
+    monkeypatch.setattr(cpu_memory, "free_memory", lambda: cpu_memory.FreeMemory(4 << 30, "a test"))
+    progress = Steps()
+    with pytest.raises(InputError, match=r"textures of 16384 texels need about .* GiB to be baked, but only .* are available"):
+        pipeline.reconstruct(photographs, tmp_path / "run", with_overrides(SETTINGS, ["surface.texture=16384"]), progress=progress)
+    assert not progress.phases and not stages.ran and not (tmp_path / "run").exists()
 
 
 def test_cameras_of_the_dataset_are_the_true_ones(undisturbed):

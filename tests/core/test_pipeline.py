@@ -139,6 +139,21 @@ def test_bad_dataset_writes_nothing_and_keeps_the_old_run(tmp_path, stages, monk
     assert sorted(p.name for p in (tmp_path / "old").iterdir()) == before
 
 
+@pytest.mark.parametrize("words", [[], ["surface.texture=300"]])
+def test_texture_size_is_recorded_and_stays_that_of_the_first_start(tmp_path, monkeypatch, words):
+    settings = with_overrides(Settings(), words)
+    stages, size = Stages(monkeypatch, settings), settings.surface.texels
+    stages.stop = "second stage"
+    with pytest.raises(Cancelled):
+        pipeline.reconstruct(Path("photos"), tmp_path / "run", settings)
+    state = read_run(tmp_path / "run")
+    assert state["textures"]["size"] == size and state["settings"]["surface"]["texture"] == settings.surface.texture
+    assert f"textures of {size} texels: {state['textures']['why']}" in (tmp_path / "run" / "log.txt").read_text()
+    monkeypatch.setattr(pipeline, "choose_texture_size", None)  # which would find other memory
+    stages.stop = None
+    pipeline.reconstruct(Path("photos"), tmp_path / "run", settings, resume=True)
+
+
 def test_settings_are_checked_before_anything_else(tmp_path, stages):
     with pytest.raises(InputError, match="cuda"):
         pipeline.reconstruct(Path("photos"), tmp_path / "run", with_overrides(Settings(), ["device=cuda"]))

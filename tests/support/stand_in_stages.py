@@ -16,7 +16,7 @@ from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import Settings
-from irgspp.core.settings.sizes import with_sizes
+from irgspp.core.settings.sizes import with_sizes, with_texture_size
 
 ALL = ["train", "geometry", "second stage", "surface", "scene", "contact sheet"]
 
@@ -72,6 +72,7 @@ class Stages:
         monkeypatch.setattr(pipeline, "textured_mesh", self.texture)
         monkeypatch.setattr(pipeline, "UnwrapProcess", lambda mesh, texture, folder: SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(pipeline, "detailed_by_dataset", lambda mesh, *_: (mesh, DetailReport(False, "stand-in")))
+        monkeypatch.setattr(pipeline, "fitted_textures", lambda mesh, report, plain, why: (mesh, {"size": plain, "texel": 1, "why": why}))
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
         monkeypatch.setattr(pipeline, "save_mesh_files", lambda mesh, run: (run / "mesh.ply").write_text("mesh"))
@@ -107,7 +108,8 @@ class Stages:
 
     def second_stage(self, first, surface, dataset, settings, progress, deadline, checkpoint):
         assert first.stage == "first"
-        assert settings == with_sizes(self.settings, None) and (deadline is None) == (settings.time is None)
+        expected = with_texture_size(with_sizes(self.settings, None), self.settings.surface.texels)
+        assert settings == expected and (deadline is None) == (settings.time is None)
         assert checkpoint.load("joint") is None
         self.check(surface)
         self.record("second stage")

@@ -8,10 +8,12 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from irgspp.core.assets import rebake
 from irgspp.core.assets.rebake import bake
 from irgspp.core.cli.main import main
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.file_lock import FileLock
+from irgspp.core.machine import cpu_memory, disk_space
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.run_folder import RunFolder
 from irgspp.core.scene.camera_files import save_views
@@ -94,7 +96,66 @@ def test_size_changes_the_images_and_nothing_else(run):
     assert load_textures(run / "textures")["confidence"].mean() > 128  # fourteen cameras all around
     state = json.loads((run / "run.json").read_text())
     assert state["status"] == "done" and state["baked"] == {"texture": 128, "triangles": 1024, "mesh": None}
+    assert state["textures"]["size"] == state["textures"]["baked"] == 128
+    assert 0.02 < state["textures"]["texel"] < 0.05  # 12.6 units of area on the chart's 128 * 123 texels
     assert not (run / "bake.part").exists() and not (run / "scene.blend").exists()
+
+
+def files(folder):
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in folder.rglob("*.png")}
+
+
+def test_smaller_sizes_are_made_from_the_bake_and_back(run, monkeypatch):
+    bake(run, Silent(), size=256)
+    full, glb = load_textures(run / "textures"), (run / "asset.glb").read_bytes()
+    monkeypatch.setattr(rebake, "_bake", None)  # nothing is baked from here on
+    for size in (64, 128, 32):
+        bake(run, Silent(), size=size)
+        assert {len(texture) for texture in load_textures(run / "textures").values()} == {size}
+        assert {len(texture) for texture in load_textures(run / "textures" / "baked").values()} == {256}
+        assert int(trimesh.load(run / "asset.glb").geometry["object"].visual.material.baseColorTexture.height) == size
+        assert albedo_error(run) < 0.015
+        state = json.loads((run / "run.json").read_text())["textures"]
+        assert (state["size"], state["baked"]) == (size, 256) and "which textures/baked keeps" in state["why"]
+    bake(run, Silent(), size=256)
+    again = load_textures(run / "textures")
+    assert all(np.array_equal(again[name], full[name]) for name in full) and (run / "asset.glb").read_bytes() == glb
+    assert not (run / "textures" / "baked").exists()
+    state = json.loads((run / "run.json").read_text())["textures"]
+    assert (state["size"], state["baked"], state["why"]) == (256, 256, "as baked")
+
+
+def test_another_bake_replaces_the_kept_one(run):
+    bake(run, Silent(), size=128)
+    bake(run, Silent(), size=32)
+    bake(run, Silent(), size=160)
+    assert not (run / "textures" / "baked").exists() and len(load_textures(run / "textures")["albedo"]) == 160
+    bake(run, Silent(), size=32)
+    bake(run, Silent(), triangles=600)  # as large as the last bake
+    assert not (run / "textures" / "baked").exists() and len(load_textures(run / "textures")["albedo"]) == 160
+
+
+def test_a_stopped_change_of_size_leaves_the_textures(run):
+    bake(run, Silent(), size=128)
+    before = files(run)
+    with pytest.raises(Cancelled):
+        bake(run, Stopped(), size=32)
+    assert files(run) == before
+
+
+def test_textures_that_do_not_fit_are_refused_before_the_work(run, monkeypatch, capsys):
+    before = files(run)
+    monkeypatch.setattr(rebake, "_bake", None)
+    monkeypatch.setattr(cpu_memory, "free_memory", lambda: cpu_memory.FreeMemory(3 << 30, "a test"))
+    assert main(["bake", str(run), "--size", "16k"]) == 2
+    message = capsys.readouterr().err
+    assert "textures of 16384 texels need about" in message and "GiB are available (a test)" in message and message.count("\n") == 1
+    monkeypatch.setattr(cpu_memory, "free_memory", lambda: cpu_memory.FreeMemory(1 << 50, "a test"))
+    monkeypatch.setattr(disk_space, "free_disk_space", lambda run: 10_000_000)
+    assert main(["bake", str(run), "--size", "16k"]) == 2
+    message = capsys.readouterr().err
+    assert "textures of 16384 texels need about 6.4 GB of disk space, of which 10 MB are free" in message and message.count("\n") == 1
+    assert files(run) == before
 
 
 def test_triangles_make_a_new_mesh(run):

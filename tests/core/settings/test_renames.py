@@ -73,7 +73,13 @@ ADDED = {
     "skip.subpixels",
 }
 ADDED |= {"second.shading_normals", "second.normal_iterations"}
-ADDED |= {"first.gaussians_per_pixel", "surface.voxel_pixels", "surface.triangles_per_pixel"}
+ADDED |= {
+    "first.gaussians_per_pixel",
+    "surface.voxel_pixels",
+    "surface.triangles_per_pixel",
+    "surface.texture_least",
+    "surface.texture_most",
+}
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker")
@@ -83,6 +89,7 @@ CHANGED += [
     "second.indirect=off",
     "surface.voxels=192",
     "surface.triangles=40000",
+    "surface.texture=1024",
     "skip.background=off",
     "skip.cache_hits=on",
     "skip.cache_rays=off",

@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Texture size of a job: by the pixels of the full-size photographs that show the object, within memory, disk space and time budget."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+from ..scene.dataset import Dataset
+from ..settings.schema import Settings
+from ..settings.sizes import takes_photograph_detail, texels_along, with_texture_size
+from .cpu_memory import free_memory, resident_memory, texture_memory
+from .disk_space import estimate_disk_space, free_disk_space
+from .job_time import larger_texture_seconds
+
+SMALLEST = 512  # texels along a side below which no shortage lowers the choice: the draft preset's
+USABLE = 0.7  # fraction of the free memory and disk space that a job of a chosen size may plan with, since other programs need some, too
+TIME_FRACTION = 0.2  # of a time budget that textures above the usual size may take, so that the fits keep most of it
+
+
+@dataclass(frozen=True)
+class TextureSize:
+    """Texture size with its reason.
+
+    Attributes:
+        size: texels along a side.
+        why: reason, in one line.
+    """
+
+    size: int
+    why: str
+
+    def line(self) -> str:
+        """Return the choice as one line for the user."""
+        return f"textures of {self.size} texels: {self.why}"
+
+
+def choose_texture_size(settings: Settings, data: Dataset, run: Path) -> TextureSize:
+    """Choose the texture size of a job.
+
+    Args:
+        settings: of the job; a `surface.texture` that is set is taken.
+        data: the photographs.
+        run: run folder, which need not exist yet; its disk counts.
+    """
+    wanted = size_by_pixels(settings, data)
+    if settings.surface.texture is not None:
+        return wanted
+    size, why = wanted.size, wanted.why
+    while size > SMALLEST and (lack := _lack(with_texture_size(settings, size), data, run)):
+        why, size = f"{wanted.why}, but {size} would take too much {lack}", size // 2
+    return TextureSize(size, why)
+
+
+def size_by_pixels(settings: Settings, data: Dataset) -> TextureSize:
+    """Return the texture size that suits the photographs, whatever memory, disk space and time there are.
+
+    Args:
+        settings: of the job; a `surface.texture` that is set is taken.
+        data: the photographs at any resolution.
+    """
+    surface = settings.surface
+    if surface.texture is not None:
+        return TextureSize(surface.texture, "as set")
+    if surface.albedo_detail == "off":
+        return TextureSize(surface.texture_least, "without detail of the full-size photographs")
+    if not takes_photograph_detail(surface.albedo_detail, data.full_size_ratio(settings.data.resolution)):
+        return TextureSize(surface.texture_least, "the photographs are not larger than the working resolution")
+    pixels = data.outline_pixels * data.reduction**2
+    about = f"about {pixels:,.0f} pixels of a full-size photograph show the object"
+    return TextureSize(texels_along(surface, pixels), about)
+
+
+def _lack(settings: Settings, data: Dataset, run: Path) -> str:
+    """Return what the textures of a job would take too much of; empty where they fit."""
+    if texture_memory(settings.surface.texels, data.pixels(), data.full_size_pixels) - resident_memory() > USABLE * free_memory().size:
+        return "memory"
+    if estimate_disk_space(settings, data.pixels(distorted=True)) > USABLE * free_disk_space(run):
+        return "disk space"
+    if settings.time is not None and larger_texture_seconds(settings) > TIME_FRACTION * settings.time:
+        return "of the time budget"
+    return ""
