@@ -121,15 +121,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         description="Keep textures and light inside the .blend instead of linking to the run folder",
         default=True,
     )
-    texture_size: IntProperty(
-        name="Texture Size",
-        description="Width and height of the baked textures in texels",
-        default=1024,
-        min=16,
-        max=16384,
-        soft_min=256,
-        soft_max=4096,
-    )
+    texture_size: EnumProperty(**shared.TEXTURE_SIZE)
     triangles: IntProperty(**shared.TRIANGLES, max=100_000_000, soft_max=200_000)
     edited_mesh: PointerProperty(
         name="Edited Mesh",

@@ -15,7 +15,7 @@ UP_AXES = [
 PRESETS = [
     ("draft", "Draft", "For a first impression: photographs reduced to 320 pixels, few steps; a minute or two", 0),
     ("balanced", "Balanced", "For most objects: photographs reduced to 640 pixels; several minutes on a CPU", 1),
-    ("high", "High", "For large photographs of fine detail: up to 1600 pixels, textures of 4096; hours on a CPU", 3),
+    ("high", "High", "For large photographs of fine detail: up to 1600 pixels, textures of 4096 or 8192; hours on a CPU", 3),
     ("paper", "Paper", "The published schedule: 50,000 steps, photographs of 800 pixels; hours, for a GPU", 2),
 ]
 MATERIALS = [
@@ -50,6 +50,12 @@ TEXTURE_PLACES = [
     ("packed", "Inside", "Inside the file"),
     ("beside", "Beside", "In a folder beside the file, which is found when both are moved together"),
 ]
+TEXTURE_SIZES = [
+    ("1024", "1k", "Textures of 1024 x 1024 texels"),
+    ("2048", "2k", "Textures of 2048 x 2048 texels"),
+    ("4096", "4k", "Textures of 4096 x 4096 texels"),
+    ("8192", "8k", "Textures of 8192 x 8192 texels"),
+]
 NORMAL_MAPS = [
     ("opengl", "OpenGL", "Green is up, as in Blender, Unity and Godot"),
     ("directx", "DirectX", "Green is down, as in Unreal Engine; .fbx and .obj only"),
@@ -75,6 +81,12 @@ SHOW_CONFIDENCE: Definition = {
 }
 TURNED: Definition = {"name": "Turntable", "description": "The object turns before a fixed camera", "items": TURNTABLE}
 
+TEXTURE_SIZE: Definition = {
+    "name": "Texture Size",
+    "description": "Width and height of the textures. A size below that of the last bake is made from this bake at once, which is kept",
+    "items": TEXTURE_SIZES,
+    "default": "1024",
+}
 TRIANGLES: Definition = {
     "name": "Max Triangles",
     "description": "Make a new mesh of at most so many triangles; 0 keeps the mesh as it is",

@@ -25,7 +25,7 @@ ENDINGS = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
 
 
 class IRGSPP_OT_bake(Queued, bpy.types.Operator):
-    """Bake the textures of a finished run again: at another size, with fewer triangles, or onto a mesh that you edited."""
+    """Bake a run again: other textures, fewer triangles or an edited mesh. Smaller textures are made at once from the last bake."""
 
     bl_idname = "irgspp.bake"
     bl_label = "Bake Again"
@@ -33,7 +33,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
 
     run: StringProperty(**RUN)
     size: IntProperty(
-        name="Texture Size", description="Width and height of the textures in texels; 0: as before", default=0, min=0, max=16384
+        name="Texture Size", description="Width and height of the textures in texels; 0: as in the last bake", default=0, min=0, max=16384
     )
     triangles: IntProperty(**shared.TRIANGLES)
     mesh: StringProperty(

@@ -16,6 +16,7 @@ from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.importer.run_root import RUN, find_roots, run_of
 from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.shared_properties import TEXTURE_SIZES
 from .job_card import draw_last
 from .run_state import RunState, resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -44,6 +45,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
             return
         thing = object_of_run(context.scene, run)
         draw_object(layout, context, run, thing)
+        draw_texture_sizes(layout, run, state)
         draw_cameras(layout, context)
         draw_quality(layout, context, state)
         draw_files(layout, run)
@@ -70,7 +72,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
         """Draw the options, the button and the job."""
         settings, edited = context.scene.irgspp, context.scene.irgspp.edited_mesh
         column = settings_column(self.layout)
-        column.prop(settings, "texture_size")
+        column.row().prop(settings, "texture_size", expand=True)
         row = column.row()
         row.enabled = edited is None  # an edited mesh is baked as it is
         row.prop(settings, "triangles")
@@ -82,7 +84,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
             "Bake",
             "TEXTURE",
             run=str(shown_run(context)),
-            size=settings.texture_size,
+            size=int(settings.texture_size),
             triangles=0 if edited else settings.triangles,
             mesh=edited.name if edited else "",
         )
@@ -157,6 +159,30 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         material=settings.source,
         pack=settings.pack,
     )
+
+
+def draw_texture_sizes(layout: bpy.types.UILayout, run: Path, state: RunState) -> None:
+    """Draw a button for each texture size that the run's bake gives without baking; none where it gives its own size alone.
+
+    Args:
+        layout: to draw into.
+        run: run folder.
+        state: of the run.
+    """
+    baked, shown = state.textures.get("baked", 0), state.textures.get("size", 0)
+    sizes = sorted({*(int(size) for size, *_ in TEXTURE_SIZES if int(size) < baked), baked})
+    if len(sizes) < 2:
+        return
+    row = layout.row(align=True)
+    row.label(text="Textures")
+    for size in sizes:
+        pressed = row.operator("irgspp.bake", text=size_text(size), depress=size == shown)
+        pressed.run, pressed.size = str(run), size
+
+
+def size_text(size: int) -> str:
+    """Return a texture size as artists name it: "2k" for 2048 texels along a side."""
+    return f"{size // 1024}k" if size % 1024 == 0 else str(size)
 
 
 def mesh_text(triangles: int, edited: bool) -> str:

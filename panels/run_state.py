@@ -22,6 +22,7 @@ class RunState:
     status: str = ""  # "running", "done", "failed", "cancelled"; "broken": unreadable; "": no run
     training: dict[str, Any] = field(default_factory=dict)  # metrics of the training
     skipped: tuple[str, ...] = ()  # skipped parts, with the reason
+    textures: dict[str, Any] = field(default_factory=dict)  # size and baked in texels along a side; empty in runs of earlier versions
 
 
 def run_state(path: Path | None) -> RunState:
@@ -46,7 +47,7 @@ def _read(path: Path) -> RunState:
     try:
         run = json.loads(path.read_text("utf-8"))
         skipped = tuple(f"{part['what']}: {part['why']}" for part in run["skipped"])
-        return RunState(str(run["status"]), dict(run["training"]), skipped)
+        return RunState(str(run["status"]), dict(run["training"]), skipped, dict(run.get("textures", {})))
     except FileNotFoundError:
         return RunState()
     except (OSError, ValueError, KeyError, TypeError):  # another program's file, or a disk that does not respond

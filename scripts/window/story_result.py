@@ -62,7 +62,7 @@ def open_run(run: Path) -> Iterator[float]:
 
 def bake_again() -> Iterator[float]:
     """Bake textures of another size."""
-    bpy.context.scene.irgspp.texture_size = 512
+    bpy.context.scene.irgspp.texture_size = "1024"
     yield 1.0
     driver.sidebar_shot("37_bake_panel")
     yield from browsing.press_button("irgspp.bake")
@@ -72,7 +72,7 @@ def bake_again() -> Iterator[float]:
     yield from ended(job)
     driver.shot("39_baked")
     nodes = bpy.context.object.active_material.node_tree.nodes
-    assert {tuple(node.image.size) for node in nodes if node.bl_idname == "ShaderNodeTexImage"} == {(512, 512)}
+    assert {tuple(node.image.size) for node in nodes if node.bl_idname == "ShaderNodeTexImage"} == {(1024, 1024)}
 
 
 def export(run: Path) -> Iterator[float]:

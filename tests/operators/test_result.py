@@ -65,6 +65,16 @@ def test_other_size_and_fewer_triangles_come_into_the_scene_from_a_job(run):
     assert json.loads((run / "run.json").read_text())["baked"]["texture"] == 32
 
 
+def test_smaller_textures_come_from_the_bake_and_the_bake_comes_back(run):
+    albedo = (run / "textures" / "albedo.png").read_bytes()
+    for size, kept in ((32, True), (16, True), (64, False)):
+        assert bpy.ops.irgspp.bake(run=str(run), size=size) == {"FINISHED"}
+        assert texture_size() == size and (run / "textures" / "baked").is_dir() == kept
+        state = json.loads((run / "run.json").read_text())
+        assert (state["textures"]["size"], state["textures"]["baked"]) == (size, 64) and "baked" not in state
+    assert (run / "textures" / "albedo.png").read_bytes() == albedo
+
+
 def test_edited_object_becomes_the_result(run):
     """Modifiers and the object's own transform are applied to the mesh once, those of its parent empty never."""
     thing = bpy.data.objects["tiny"]

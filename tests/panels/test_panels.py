@@ -198,7 +198,7 @@ def test_defaults_are_those_of_the_engine(settings):
     for name in ("preset", "materials", "device", "seed"):
         assert getattr(settings, name) == getattr(defaults, name)
     assert {item.identifier for item in settings.bl_rna.properties["preset"].enum_items} == set(PRESETS)
-    assert settings.source == defaults.export.material and settings.texture_size == defaults.surface.texture
+    assert settings.source == defaults.export.material and int(settings.texture_size) == defaults.surface.texture_least
     without = [p.identifier for p in settings.bl_rna.properties if not p.description and p.identifier not in ("name", "rna_type")]
     assert not without  # every property has its tooltip
 

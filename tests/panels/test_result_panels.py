@@ -100,6 +100,19 @@ def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
     assert (values["mesh"], values["triangles"]) == ("edited", 0) and "edited mesh is baked as it is" in drawn.words
 
 
+def test_each_size_up_to_the_bake_has_a_button(settings, run_folder):
+    settings.run = str(finished_run(run_folder, textures={"size": 1024, "baked": 4096}))
+    drawn = draw(result.IRGSPP_PT_result).buttons("irgspp.bake")
+    assert [(one.text, one.values["size"]) for one in drawn] == [("1k", 1024), ("2k", 2048), ("4k", 4096)]
+    assert all(one.values["run"] == str(run_folder) for one in drawn)
+
+
+@pytest.mark.parametrize("state", [{}, {"textures": {"size": 1024, "baked": 1024}}, {"textures": {"size": 512, "why": "as set"}}])
+def test_a_bake_without_smaller_sizes_has_no_buttons(settings, tmp_path, state):
+    settings.run = str(finished_run(tmp_path / "run", **state))
+    assert not draw(result.IRGSPP_PT_result).buttons("irgspp.bake")
+
+
 def test_no_triangles_are_said_to_keep_the_mesh(settings, run_folder):
     settings.run = str(finished_run(run_folder))
     drawn = draw(result.IRGSPP_PT_bake)
