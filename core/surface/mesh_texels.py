@@ -16,19 +16,43 @@ CHUNK = 1 << 20  # texels whose coordinates are computed at a time
 
 
 @dataclass(frozen=True, eq=False)
-class MeshTexels:
-    """P texels whose centre lies in a triangle of a mesh.
+class CoveredTexels:
+    """P texels of a texture that lie on a mesh.
 
     Attributes:
         size: texels along a side of the texture.
         index: (P,) int32 flat index in the image, ascending; rows count from the image's top.
+    """
+
+    size: int
+    index: np.ndarray
+
+    def image(self, values: np.ndarray) -> np.ndarray:
+        """Make an image (size, size, ...) of texel values (P, ...); texels outside all triangles take the nearest value."""
+        image = np.zeros((self.size * self.size, *values.shape[1:]), values.dtype)
+        image[self.index] = values
+        return image[self._nearest].reshape(self.size, self.size, *values.shape[1:])
+
+    @cached_property
+    def _nearest(self) -> np.ndarray:
+        """For each pixel of the image, the flat index of the nearest texel, (size * size,) int32."""
+        outside = np.ones(self.size * self.size, bool)
+        outside[self.index] = False
+        shape = self.size, self.size
+        row, column = np.asarray(ndimage.distance_transform_edt(outside.reshape(shape), return_distances=False, return_indices=True))
+        return (row * np.int32(self.size) + column).ravel()
+
+
+@dataclass(frozen=True, eq=False)
+class MeshTexels(CoveredTexels):
+    """P texels whose centre lies in a triangle of a mesh, with their places on it.
+
+    Attributes:
         face: (P,) int32 triangle.
         barycentric: (P, 2) float32 weights of its second and third corner.
         side: (F,) float32 side of a texel on each triangle, world units.
     """
 
-    size: int
-    index: np.ndarray
     face: np.ndarray
     barycentric: np.ndarray
     side: np.ndarray
@@ -62,21 +86,6 @@ class MeshTexels:
         for part in self.chunks():
             result[part] = self.interpolate(values, faces, part)
         return result
-
-    def image(self, values: np.ndarray) -> np.ndarray:
-        """Make an image (size, size, ...) of texel values (P, ...); texels outside all triangles take the nearest value."""
-        image = np.zeros((self.size * self.size, *values.shape[1:]), values.dtype)
-        image[self.index] = values
-        return image[self._nearest].reshape(self.size, self.size, *values.shape[1:])
-
-    @cached_property
-    def _nearest(self) -> np.ndarray:
-        """For each pixel of the image, the flat index of the nearest texel, (size * size,) int32."""
-        outside = np.ones(self.size * self.size, bool)
-        outside[self.index] = False
-        shape = self.size, self.size
-        row, column = np.asarray(ndimage.distance_transform_edt(outside.reshape(shape), return_distances=False, return_indices=True))
-        return (row * np.int32(self.size) + column).ravel()
 
 
 def mesh_texels(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray, size: int) -> MeshTexels:

@@ -9,7 +9,7 @@ import numpy as np
 from ..io.eight_bits import eight_bits, srgb_eight_bits
 from ..io.srgb import decode_srgb
 from ..scene.mesh import Mesh
-from .bake import Texels, texel_owners
+from .mesh_texels import CoveredTexels, texel_owners
 from .meshing import unit
 
 
@@ -28,8 +28,7 @@ def reduced_textures(mesh: Mesh, size: int) -> dict[str, np.ndarray]:
     side = len(mesh.textures["albedo"])
     covered = (texel_owners(mesh.uvs, mesh.faces, side)[1] >= 0).astype(np.float32)
     share = _area_means(covered, size)
-    row, column = np.nonzero(share > 0)
-    texels = Texels(size, row, column, np.empty(0, np.int32), np.empty((0, 3)))
+    texels = CoveredTexels(size, np.flatnonzero(share > 0).astype(np.int32))
     return {name: texels.image(_reduced(name, texture, covered, share)) for name, texture in mesh.textures.items()}
 
 
