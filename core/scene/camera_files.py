@@ -27,12 +27,14 @@ class PlacedCamera:
         split: "train" or "test".
         camera: the camera in the world.
         image: the photograph's file.
+        light_rotation: (3, 3) from the world to the frame of the light, see `View`; None where the light stands still.
     """
 
     name: str
     split: str
     camera: Camera
     image: Path
+    light_rotation: np.ndarray | None = None
 
 
 def save_cameras(path: Path, dataset: Dataset) -> None:
@@ -91,6 +93,7 @@ def _record(split: str, view: View, folder: Path) -> dict[str, object]:
         "cy": camera.cy,
         "to_world": camera.to_world.tolist(),
         "picture": (image.relative_to(folder) if inside else image).as_posix(),
+        **({} if view.light_rotation is None else {"light_rotation": view.light_rotation.tolist()}),
     }
 
 
@@ -100,7 +103,10 @@ def _placed(record: dict, folder: Path) -> PlacedCamera:
         raise ValueError(f"to_world has shape {to_world.shape}")
     lens = {name: float(record[name]) for name in ("fx", "fy", "cx", "cy")}
     camera = Camera(int(record["width"]), int(record["height"]), **lens, to_world=to_world)
-    return PlacedCamera(str(record["name"]), str(record["split"]), camera, folder / record["picture"])
+    turned = np.array(record["light_rotation"], float) if "light_rotation" in record else None
+    if turned is not None and turned.shape != (3, 3):
+        raise ValueError(f"light_rotation has shape {turned.shape}")
+    return PlacedCamera(str(record["name"]), str(record["split"]), camera, folder / record["picture"], turned)
 
 
 def _save_undistorted(view: View, target: Path) -> None:

@@ -26,6 +26,19 @@ def make_dataset(*images: Path) -> Dataset:
     return Dataset(Path("data"), "transforms", views[:-1], views[-1:], Bound((0.0, 0.0, 0.0), 1.0), np.eye(4))
 
 
+def test_rotation_of_the_light_is_kept(tmp_path):
+    dataset = make_dataset(tmp_path / "a.png", tmp_path / "b.png")
+    turned = replace(dataset, train=[replace(dataset.train[0], light_rotation=np.diag([-1.0, -1.0, 1.0]))])
+    save_cameras(tmp_path / "cameras.json", turned)
+    train, test = load_run_cameras(tmp_path / "cameras.json")
+    assert np.array_equal(train.light_rotation, np.diag([-1, -1, 1])) and test.light_rotation is None
+    records = json.loads((tmp_path / "cameras.json").read_text())
+    records[0]["light_rotation"] = [1, 2]
+    (tmp_path / "cameras.json").write_text(json.dumps(records))
+    with pytest.raises(InputError, match="light_rotation"):
+        load_run_cameras(tmp_path / "cameras.json")
+
+
 def test_round_trip_is_exact(tmp_path):
     run = tmp_path / "run"
     run.mkdir()
