@@ -19,6 +19,8 @@ from .prediction import Prediction
 from .protocols import PLAIN, Protocol
 
 UP = np.array([0.0, 0.0, 1.0])
+CALLED_METAL = 0.5  # metallic above which a pixel counts as metal
+NO_METAL = 0.5 / 255  # true metallic up to which a pixel is certainly none; 8-bit maps have no value in between
 
 
 class Fits:
@@ -101,6 +103,9 @@ def _layer_metrics(prediction: Prediction, truth: Truth, protocol: Protocol) -> 
             difference = (prediction.layer(name) - true)[inside]
             values[f"{name}_mae"] = np.abs(difference).mean()
             values |= {"roughness_mse": np.square(difference).mean()} if name == "roughness" else {}
+    if truth.metallic is not None:
+        wrong = (prediction.layer("metallic") > CALLED_METAL) & (truth.metallic <= NO_METAL)
+        values["metallic_false_fraction"] = wrong[inside].mean()
     return values
 
 

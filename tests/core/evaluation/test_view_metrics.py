@@ -36,6 +36,20 @@ def test_each_metric_responds_to_its_own_error(demo):
     assert flipped["normal_mae_full"] == pytest.approx(180 * covered, abs=0.5)
 
 
+def test_metal_that_is_none_is_counted_over_the_object(demo):
+    _, _, _, truths, predictions = demo
+    b, inside = predictions[0].buffers, truths[0].object
+    dielectric = inside & (truths[0].metallic <= 0.5 / 255)
+    rows = np.cumsum(dielectric).reshape(dielectric.shape)
+    claimed = dielectric & (rows <= dielectric.sum() // 4)
+    wrong = replace(predictions[0], buffers=replace(b, metallic=np.where(claimed, 0.6, b.metallic)))
+    assert view_metrics(wrong, truths[0])["metallic_false_fraction"] == pytest.approx(claimed.sum() / inside.sum(), abs=1e-6)
+    unsure = replace(predictions[0], buffers=replace(b, metallic=np.where(dielectric, 0.5, b.metallic)))
+    assert view_metrics(unsure, truths[0])["metallic_false_fraction"] == 0
+    doubtful = replace(truths[0], metallic=np.where(claimed, 0.1, truths[0].metallic))  # not certain to be no metal
+    assert view_metrics(wrong, doubtful)["metallic_false_fraction"] == 0
+
+
 def test_a_view_without_anything_counts_as_missing_normals(demo):
     _, _, _, truths, predictions = demo
     b = predictions[0].buffers
