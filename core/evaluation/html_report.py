@@ -19,6 +19,7 @@ from . import metrics, visualisation
 from .calibration import NAMES
 from .cycles import Comparison
 from .ground_truth import Truth
+from .light_comparison import LightComparison
 from .prediction import Prediction
 from .protocols import PLAIN, Protocol
 
@@ -35,6 +36,7 @@ td { font-variant-numeric: tabular-nums; text-align: right }
 .row { display: flex; flex-wrap: wrap; gap: 8px; margin-bottom: 10px } figure { margin: 0; width: 210px }
 figure.bars div { display: flex; align-items: flex-end; height: 120px; gap: 3px }
 figure.bars i { flex: 1; background: #7f9cc0; min-height: 1px }
+.wide figure { width: 320px }
 figure img { width: 100%; display: block; border-radius: 3px } figcaption { font-size: .8rem; color: #a9a9a4; padding-top: 2px }
 """
 
@@ -49,15 +51,20 @@ class Tile:
 
 @dataclass(frozen=True)
 class Section:
-    """Part of the page: title, one line of text, and rows of images."""
+    """Part of the page: title, one line of text, and rows of images, `wide` for those of twice their height."""
 
     title: str
     text: str
     rows: Sequence[Sequence[Tile]]
+    wide: bool = False
 
 
 def page(
-    report: dict[str, Any], shown: Mapping[str, tuple[Prediction, Truth]], protocol: Protocol = PLAIN, asset: Sequence[Comparison] = ()
+    report: dict[str, Any],
+    shown: Mapping[str, tuple[Prediction, Truth]],
+    protocol: Protocol = PLAIN,
+    asset: Sequence[Comparison] = (),
+    light: LightComparison | None = None,
 ) -> str:
     """Render the page as HTML text with all images inside.
 
@@ -66,13 +73,15 @@ def page(
         shown: by name, prediction and ground truth of the views that are shown with images.
         protocol: how images are prepared for their comparison.
         asset: images of the exported mesh by Cycles next to ours; none: no such section.
+        light: recovered and true light; None: no such section.
     """
     scale = np.array(report["albedo_scale"] or (1.0, 1.0, 1.0))
     views = f"{len(report['views']) - report['novel']} {report['split']} views"
     views += f" and {report['novel']} under other lights" if report["novel"] else ""
     rows = [(name, metrics.format_metric(value)) for name, value in report["figures"].items()]
     rows += [("albedo_scale", " ".join(f"{s:.3f}" for s in scale))] if report["albedo_scale"] else []
-    sections = [_view_section(name, report["views"][name], *pair, scale, protocol) for name, pair in shown.items()]
+    sections = [] if light is None else [_light_section(light)]
+    sections += [_view_section(name, report["views"][name], *pair, scale, protocol) for name, pair in shown.items()]
     sections += [_asset_section(asset)] if asset else []
     environment = jinja2.Environment(
         loader=jinja2.FileSystemLoader(Path(__file__).parent),
@@ -99,6 +108,15 @@ def _bars(curve: Sequence[dict[str, float]]) -> list[tuple[float, str]]:
     """Return height, in per cent of the largest, and label of each bar of a calibration curve."""
     largest = max((part["error"] for part in curve), default=0) or 1
     return [(100 * part["error"] / largest, f"confidence {part['confidence']:.2f}, error {part['error']:.4f}") for part in curve]
+
+
+def _light_section(light: LightComparison) -> Section:
+    tiles = [_tile(caption, image) for caption, image in light.pictures().values()]
+    text = (
+        "Lat-long maps: up is +Z, the middle +X. The recovered one is shown after the scale per channel of environment_psnr, both with one "
+    )
+    text += "exposure. Striped: hardly any light from there reaches the photographs, so that the map holds a guess."
+    return Section("Light", text, [tiles], wide=True)
 
 
 def _view_section(
@@ -183,6 +201,13 @@ def _relit_row(prediction: Prediction, truth: Truth, protocol: Protocol) -> list
 
 def _opaque(rgb: np.ndarray) -> np.ndarray:
     return visualisation.with_alpha(rgb, np.ones(rgb.shape[:2]))
+
+
+def png_bytes(pixels: np.ndarray) -> bytes:
+    """Encode an opaque image (H, W, 4) as PNG."""
+    data = io.BytesIO()
+    Image.fromarray(visualisation.over(pixels, BACKDROP)).save(data, "PNG")
+    return data.getvalue()
 
 
 def _tile(caption: str, pixels: np.ndarray) -> Tile:

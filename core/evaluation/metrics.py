@@ -142,26 +142,44 @@ def cosine_distance(normals: np.ndarray, truth: np.ndarray, mask: np.ndarray) ->
     return float(1 - (n * t).sum(-1).mean())
 
 
-def environment_metrics(light: np.ndarray, truth: np.ndarray, grid: tuple[int, int] | None = None) -> dict[str, float]:
+def environment_metrics(
+    light: np.ndarray, truth: np.ndarray, grid: tuple[int, int] | None = None, part: np.ndarray | None = None
+) -> dict[str, float]:
     """Return PSNR and SSIM of a light map, encoded and clipped, after a least-squares scale per channel weighted by solid angle.
 
     `environment_psnr_unscaled` is without the scale; `environment_ssim` is missing where the maps are smaller than its window.
+    `environment_psnr_constrained` is over a part of the sphere alone, after a scale that is fitted there.
 
     Args:
         light: lat-long map (H, W, 3), linear, estimated.
         truth: lat-long map (H', W', 3), linear, true.
         grid: rows and columns that both maps are resized to; those of the true map where it is None.
+        part: bool of the size of the grid, the directions that the photographs constrain; None or none of them: no such metric.
     """
     height, width = grid or truth.shape[:2]
-    light, truth = _on_grid(light, height, width), _on_grid(truth, height, width)
-    weight = np.sin((np.arange(height) + 0.5) * np.pi / height)[:, None, None]
-    fitted = light * fitted_scale(light, truth, weight)
-    scaled, plain, true = (encode_srgb(np.clip(image, 0, 1)) for image in (fitted, light, truth))
+    light, truth = on_grid(light, height, width), on_grid(truth, height, width)
+    scaled, plain, true = (encode_srgb(np.clip(image, 0, 1)) for image in (light * light_scale(light, truth), light, truth))
     values = {"environment_psnr": psnr(scaled, true), "environment_psnr_unscaled": psnr(plain, true)}
+    if part is not None and part.any():
+        constrained = encode_srgb(np.clip(light * light_scale(light, truth, part), 0, 1))
+        values["environment_psnr_constrained"] = psnr(constrained, true, part)
     return values | ({"environment_ssim": ssim(scaled, true)} if min(height, width) >= SSIM_WINDOW else {})
 
 
-def _on_grid(light: np.ndarray, height: int, width: int) -> np.ndarray:
+def light_scale(light: np.ndarray, truth: np.ndarray, part: np.ndarray | None = None) -> np.ndarray:
+    """Return the factors (3,) that bring a light map closest to the true one, by least squares weighted by solid angle.
+
+    Args:
+        light: lat-long map (H, W, 3), linear, estimated.
+        truth: lat-long map (H, W, 3), linear, true.
+        part: (H, W) bool, the directions that count; all where it is None.
+    """
+    height = len(light)
+    weight = np.sin((np.arange(height) + 0.5) * np.pi / height)[:, None, None]
+    return fitted_scale(light, truth, weight if part is None else weight * part[..., None])
+
+
+def on_grid(light: np.ndarray, height: int, width: int) -> np.ndarray:
     """Resize a light map (H, W, 3) to (height, width, 3)."""
     if light.shape[:2] == (height, width):
         return light.astype(np.float64)

@@ -196,5 +196,6 @@ def _light(protocol: Protocol) -> str:
     grid = f"a grid of {protocol.light_grid[1]}x{protocol.light_grid[0]}" if protocol.light_grid else "the true map's grid"
     return (
         f"Environment, measured in this program's own way: on {grid}, one least-squares scale per channel weighted by solid angle, "
-        "sRGB-encoded, clipped to 0..1; environment_psnr_unscaled without the scale."
+        "sRGB-encoded, clipped to 0..1; environment_psnr_unscaled without the scale; environment_psnr_constrained over the part of the "
+        "sphere that the photographs constrain, with a scale that is fitted there."
     )

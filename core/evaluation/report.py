@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import json
-import os
 import time
 from collections.abc import Iterator
 from dataclasses import asdict, replace
@@ -15,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ..errors import Cancelled, InputError
+from ..io.atomic import write_atomic
 from ..machine.devices import best
 from ..progress.protocol import Progress, Silent
 from ..relight.backends import Backend, best_backend, open_relighter
@@ -32,7 +32,8 @@ from .cases import Case, Cases, read_cases, spread
 from .conditions import describe_conditions, describe_renderer
 from .cycles import compare
 from .ground_truth import SceneTruth, Truth
-from .html_report import SHOWN, page
+from .html_report import SHOWN, page, png_bytes
+from .light_comparison import PICTURES, LightComparison, compare_lights
 from .lpips import Lpips, find_lpips
 from .mesh_normals import mesh_normals
 from .prediction import Prediction
@@ -64,7 +65,7 @@ def evaluate(
 ) -> dict[str, Any]:
     """Compare a run with the test views of a dataset (its training views where it has no others).
 
-    Writes `report.json` and `report.html` (self-contained).
+    Writes `report.json`, `report.html` (self-contained) and the pictures of the light, see `LightComparison.pictures`.
 
     Args:
         run: folder of the finished run.
@@ -104,7 +105,9 @@ def evaluate(
     evaluation = Evaluation(cases, relighter, choices, distances, progress)
     evaluation.compare()
     report = evaluation.summary()
-    report["figures"] |= scene_metrics(run, reconstruction, cases.scene, choices, cases.unit, evaluation.own_light)
+    true_light = cases.scene.lights.get(cases.scene.train_light or "", evaluation.own_light)
+    light = compare_lights(run, reconstruction, true_light, choices.light_grid)
+    report["figures"] |= light.figures | shape_metrics(run, cases.scene, choices, cases.unit)
     lights = cases.scene.lights or {"recovered": reconstruction.environment_map()}
     cameras = {cases.names[i]: cases.cameras[i] for i in spread(cases.own, cycles)}
     asset = compare(relighter, run, cameras, lights, progress) if cycles else []
@@ -117,8 +120,8 @@ def evaluate(
         "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(choices).items()},
     }
     conditions = describe_conditions(cases, choices, distances, report["albedo_scale"], describe_renderer(relight, backend))
-    report["protocol"] = [*describe_protocol(choices), *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
-    _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset))
+    report["protocol"] = [*describe_protocol(choices), light.description, *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
+    _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset, light), light)
     return report
 
 
@@ -232,32 +235,21 @@ class Evaluation:
         return self._prepared[name]
 
 
-def scene_metrics(
-    run: Path,
-    reconstruction: Reconstruction,
-    scene: SceneTruth,
-    protocol: Protocol = PLAIN,
-    unit: float = 1.0,
-    light: np.ndarray | None = None,
-) -> dict[str, float]:
-    """Return the metrics of the light and of the mesh, where the ground truth is known.
+def shape_metrics(run: Path, scene: SceneTruth, protocol: Protocol = PLAIN, unit: float = 1.0) -> dict[str, float]:
+    """Return the metrics of the mesh, where the run has one and points of the true surface are known.
 
     Args:
-        run: folder of the run, which may hold a mesh.
-        reconstruction: of the run.
+        run: folder of the run.
         scene: ground truth of the scene.
         protocol: of the comparison.
         unit: length in the run's world frame of one unit of the dataset.
-        light: (H, W, 3) true light, where it is not the scene's.
     """
-    values, light = {}, scene.lights.get(scene.train_light or "", light)
-    if light is not None:
-        values |= metrics.environment_metrics(reconstruction.environment_map(), light, protocol.light_grid)
-    if scene.points is not None and (run / "mesh.ply").is_file():
-        mesh = load_mesh_ply(run / "mesh.ply")
-        values |= metrics.mesh_distances(mesh, *scene.points)
-        if protocol.scale_free:
-            values["shape_chamfer"] = CHAMFER_UNIT * metrics.squared_chamfer(mesh, scene.points[0]) / unit**2
+    if scene.points is None or not (run / "mesh.ply").is_file():
+        return {}
+    mesh = load_mesh_ply(run / "mesh.ply")
+    values = metrics.mesh_distances(mesh, *scene.points)
+    if protocol.scale_free:
+        values["shape_chamfer"] = CHAMFER_UNIT * metrics.squared_chamfer(mesh, scene.points[0]) / unit**2
     return values
 
 
@@ -271,13 +263,15 @@ def table(report: dict[str, Any]) -> str:
     return "\n".join([*lines, *report["protocol"]])
 
 
-def _write(folder: Path, report: dict[str, Any], html: str) -> None:
-    """Write report.json and report.html atomically."""
+def _write(folder: Path, report: dict[str, Any], html: str, light: LightComparison) -> None:
+    """Write the pictures of the light, report.json and report.html, each atomically; pictures that an earlier report had are removed."""
+    pictures = {f"{name}.png": png_bytes(image) for name, (_, image) in light.pictures().items()}
+    texts = {"report.json": json.dumps(report, indent=1).encode(), "report.html": html.encode()}
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        for name, text in (("report.json", json.dumps(report, indent=1)), ("report.html", html)):
-            partial = folder / f".{name}.part"
-            partial.write_text(text, encoding="utf-8")
-            os.replace(partial, folder / name)
+        for name in PICTURES:
+            (folder / f"{name}.png").unlink(missing_ok=True)
+        for name, data in (pictures | texts).items():
+            write_atomic(folder / name, data)
     except OSError as error:
         raise InputError(folder, f"the report can't be written there ({error.strerror})", "choose another folder") from error

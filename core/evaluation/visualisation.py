@@ -11,6 +11,10 @@ from ..io.srgb import encode_srgb
 # Dark to light in even steps of lightness: black, violet, red, orange, cream.
 HEAT = np.array([[0.0, 0.0, 0.02], [0.25, 0.06, 0.42], [0.65, 0.16, 0.35], [0.93, 0.43, 0.13], [0.98, 0.78, 0.30], [1.0, 1.0, 0.85]])
 
+# Less to more around black: light blue, blue, black, orange, cream.
+SIGNED = np.array([[0.72, 0.93, 1.0], [0.16, 0.47, 0.86], [0.0, 0.0, 0.02], [0.90, 0.38, 0.10], [1.0, 0.92, 0.70]])
+STRIPES = 0.10, 0.30  # grey values of what is not shown
+
 
 def shaded(rgba: np.ndarray) -> np.ndarray:
     """Convert a linear premultiplied image (H, W, 4) to (H, W, 4), encoded with straight alpha."""
@@ -68,9 +72,41 @@ def heat(error: np.ndarray, limit: float, alpha: np.ndarray | None = None) -> np
     Returns:
         Image (H, W, 4).
     """
-    position = np.clip(error / limit, 0, 1)
-    channels = [np.interp(position, np.linspace(0, 1, len(HEAT)), HEAT[:, i]) for i in range(3)]
-    return with_alpha(np.stack(channels, -1), np.ones(error.shape) if alpha is None else alpha)
+    return with_alpha(_ramp(error / limit, HEAT), np.ones(error.shape) if alpha is None else alpha)
+
+
+def signed_heat(difference: np.ndarray, limit: float) -> np.ndarray:
+    """Show differences by colours: blue where negative, black where 0, orange where positive.
+
+    Args:
+        difference: (H, W).
+        limit: absolute difference shown in the lightest colours.
+
+    Returns:
+        Image (H, W, 4).
+    """
+    return with_alpha(_ramp(0.5 + 0.5 * difference / limit, SIGNED), np.ones(difference.shape))
+
+
+def striped(image: np.ndarray, shown: np.ndarray) -> np.ndarray:
+    """Draw stripes over a part of an image, 24 to its height.
+
+    Args:
+        image: (H, W, 4).
+        shown: (H, W) bool, False in that part.
+
+    Returns:
+        Image (H, W, 4).
+    """
+    row, column = np.indices(shown.shape)
+    grey_value = np.where((row + column) * 24 // len(shown) % 2, *STRIPES)[..., None]
+    return np.where(shown[..., None], image, with_alpha(np.repeat(grey_value, 3, -1), np.ones(shown.shape)))
+
+
+def _ramp(position: np.ndarray, colours: np.ndarray) -> np.ndarray:
+    """Return the colours (H, W, 3) at positions (H, W) in 0..1 along colours (N, 3) at even distances."""
+    steps = np.linspace(0, 1, len(colours))
+    return np.stack([np.interp(np.clip(position, 0, 1), steps, channel) for channel in colours.T], -1)
 
 
 def with_alpha(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:

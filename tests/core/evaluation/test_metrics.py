@@ -108,6 +108,15 @@ def test_environment_on_a_grid_of_its_own():
     assert metrics.environment_metrics(truth * 3, truth, (16, 32))["environment_psnr_unscaled"] < 15
 
 
+def test_part_of_the_environment_has_its_own_scale():
+    truth = RANDOM.uniform(0, 1, (16, 32, 3))
+    part = np.arange(16)[:, None] < 8 + np.zeros((1, 32))
+    light = np.where(part[..., None], 3 * truth, 1 - truth)
+    found = metrics.environment_metrics(light, truth, part=part)
+    assert found["environment_psnr_constrained"] == pytest.approx(100) and found["environment_psnr"] < 20
+    assert "environment_psnr_constrained" not in metrics.environment_metrics(light, truth, part=np.zeros_like(part))
+
+
 def globe(radius: float, rows: int = 60) -> Mesh:
     """Return a triangulated sphere, open at the poles: close enough for distances."""
     v, u = np.meshgrid(np.linspace(1e-3, np.pi - 1e-3, rows), np.linspace(0, 2 * np.pi, 2 * rows), indexing="ij")

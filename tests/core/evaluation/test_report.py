@@ -9,8 +9,10 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, InputError
-from irgspp.core.evaluation import cases, report
+from irgspp.core.evaluation import cases, light_comparison, report
 from irgspp.core.evaluation import contact_sheet as sheet
+from irgspp.core.evaluation.light_comparison import PICTURES
+from irgspp.core.evaluation.light_dependence import ROWS
 from irgspp.core.evaluation.lpips import NO_LPIPS, Lpips
 from irgspp.core.evaluation.protocols import PROTOCOLS, describe_protocol
 from irgspp.core.progress.protocol import Silent
@@ -67,6 +69,9 @@ def known(demo, monkeypatch):
         monkeypatch.setattr(module, "render_gbuffer", lambda reconstruction, camera: at(camera).buffers)
     monkeypatch.setattr(report, "open_relighter", lambda *_: KnowingRelighter())
     monkeypatch.setattr(cases, "load_dataset", lambda path, *_: {demo[0]: dataset}[path])
+    monkeypatch.setattr(light_comparison, "load_run_cameras", lambda path: [])
+    monkeypatch.setattr(light_comparison, "read_run", lambda run: {"dataset": str(demo[0])})
+    monkeypatch.setattr(light_comparison, "light_dependence", lambda *_: np.ones((ROWS, 2 * ROWS)))
     known = Known(scene.lights["sky"])
     monkeypatch.setattr(report.Reconstruction, "load", lambda run: known)
     return KnowingRelighter()
@@ -76,10 +81,12 @@ def test_report_of_a_perfect_run(demo, known, tmp_path):
     found = report.evaluate(tmp_path / "run", demo[0], tmp_path / "out")
     measured = found["figures"]
     assert measured["nvs_psnr"] > 90 and measured["relight_psnr"] > 50 and measured["normal_mae"] < 0.1
-    assert measured["albedo_psnr"] == measured["environment_psnr"] == 100
+    assert measured["albedo_psnr"] == measured["environment_psnr"] == measured["environment_psnr_constrained"] == 100
+    assert measured["metallic_false_fraction"] == 0 and measured["environment_constrained"] == pytest.approx(1)
     assert np.allclose(found["albedo_scale"], 1) and len(found["views"]) == 6 and found["split"] == "test"
     assert json.loads((tmp_path / "out" / "report.json").read_text()) == found
-    assert sorted(p.name for p in (tmp_path / "out").iterdir()) == ["report.html", "report.json"]
+    files = {"report.html", "report.json", *(f"{name}.png" for name in PICTURES)}
+    assert {p.name for p in (tmp_path / "out").iterdir()} == files
     assert "Protocol plain: this program's own." in found["protocol"] and found["choices"]["name"] == "plain"
     assert any("albedo times 1.0000 1.0000 1.0000" in line for line in found["protocol"])
     lines = report.table(found).splitlines()
@@ -103,6 +110,26 @@ def test_page_shows_the_error_by_confidence(demo, known, tmp_path):
     assert re.findall(r"height: ([0-9.]+)%", page) == ["100.0", "25.0"]
     assert "albedo: confidence 0.20, error 0.0800 to confidence 0.90, error 0.0200" in page
     assert "<h2>Confidence</h2>" not in report.page(found | {"calibration": {}}, {})
+
+
+def test_page_and_folder_show_the_light(demo, known, tmp_path):
+    report.evaluate(tmp_path, demo[0], views=1)
+    html, folder = (tmp_path / "evaluation" / "report.html").read_text(), tmp_path / "evaluation"
+    row = html.split("<h2>Light</h2>")[1].split("<h2>")[0]
+    assert "<div class='row wide'>" in row
+    for caption in ("recovered light", "true light", "orange: too bright", "100% of the sphere", "2 x the mean"):
+        assert caption in row
+    with Image.open(folder / "light_recovered.png") as ours, Image.open(folder / "light_true.png") as true:
+        assert ours.size == true.size == demo[2].lights["sky"].shape[1::-1] and np.array_equal(np.asarray(ours), np.asarray(true))
+    assert "Constrained part of the light" in html
+
+
+def test_pictures_of_an_earlier_report_do_not_stay(demo, known, tmp_path, monkeypatch):
+    report.evaluate(tmp_path, demo[0], views=1)
+    monkeypatch.setattr(cases, "load_scene_truth", lambda *_: replace(demo[2], train_light=None))
+    found = report.evaluate(tmp_path, demo[0], views=1)
+    left = {p.stem for p in (tmp_path / "evaluation").glob("*.png")}
+    assert left == set(PICTURES) - {"light_true", "light_difference"} and "environment_psnr" not in found["figures"]
 
 
 def test_page_escapes_names(demo, known, tmp_path):
