@@ -136,12 +136,23 @@ def _reason(i: int, photographs: Sequence[Photograph], members: list[set[int]], 
         return f"no texture: only {counts[i]} features were found; it may be blurred, dark or plain"
     if not partners:
         return "no match: it shows nothing that another photograph shows"
+    linked = [j for j in partners if j in members[0]]
     group = next((group for group in members[1:] if i in group), None)
-    if group is not None or not members[0] & set(partners):
-        near = [j for j in partners if group is None or j in group] or partners
-        names = ", ".join(photographs[j].name for j in near[:3]) + (f" and {len(near) - 3} more" if len(near) > 3 else "")
-        return f"not connected: it matches only with {names}; photographs between the groups are missing"
+    near = [j for j in partners if group is None or j in group] or partners
+    if not linked:
+        return f"not connected: it matches only with {_names(near, photographs)}; photographs between the groups are missing"
+    if group is not None:
+        most = int(inliers[i, linked].max())
+        return (
+            f"weakly connected: it fits together with {_names(near, photographs)}, "
+            f"but has at most {most} matches with a photograph that has a pose; photographs between them are missing"
+        )
     return f"no consistent pose: it matches {len(partners)} photographs, but too weakly"
+
+
+def _names(indices: Sequence[int], photographs: Sequence[Photograph]) -> str:
+    """Name three photographs, and say how many more there are."""
+    return ", ".join(photographs[j].name for j in indices[:3]) + (f" and {len(indices) - 3} more" if len(indices) > 3 else "")
 
 
 def _place(photographs: Sequence[Photograph]) -> Path | str:
