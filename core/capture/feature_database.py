@@ -90,6 +90,40 @@ def open_database(path: Path, photographs: Sequence[Photograph]) -> None:
                 _write_image(database, i + 1, camera.camera_id)
 
 
+def copy_features(source: Path, path: Path, count: int) -> None:
+    """Copy the features that another database of the same photographs holds, where they are missing.
+
+    Args:
+        source: the other database file.
+        path: the database file that receives them.
+        count: number of photographs.
+    """
+    with pycolmap.Database.open(source) as given, pycolmap.Database.open(path) as database:
+        for number in range(1, count + 1):
+            if not database.exists_descriptors(number):
+                with pycolmap.DatabaseTransaction(database):
+                    database.write_keypoints(number, given.read_keypoints(number))
+                    database.write_descriptors(number, given.read_descriptors(number))
+
+
+def restore_matches(source: Path, path: Path, kept: set[int]) -> None:
+    """Replace the verified matches of pairs by those of another database with the same features.
+
+    Args:
+        source: the other database file.
+        path: the database file, which is changed.
+        kept: photographs whose pairs keep their matches.
+    """
+    with pycolmap.Database.open(source) as given, pycolmap.Database.open(path) as database, pycolmap.DatabaseTransaction(database):
+        pairs, geometries = given.read_two_view_geometries()
+        for pair, geometry in zip(pairs, geometries, strict=True):
+            one, other = pycolmap.pair_id_to_image_pair(pair)
+            if one - 1 in kept or other - 1 in kept:
+                continue
+            known = database.exists_two_view_geometry(one, other)
+            (database.update_two_view_geometry if known else database.write_two_view_geometry)(one, other, geometry)
+
+
 def image_name(number: int) -> str:
     """Return the name of an image in the database: its number, since COLMAP's lists of pairs know no names with spaces."""
     return f"{number:06d}"

@@ -27,13 +27,12 @@ def extraction_options(thorough: bool) -> pycolmap.FeatureExtractionOptions:
     """Return COLMAP's options.
 
     Args:
-        thorough: search fainter features too, and describe them over several scales and in affine frames, which takes five times as long.
+        thorough: search fainter features too.
     """
     options = pycolmap.FeatureExtractionOptions()
     options.num_threads, options.use_gpu = 1, False
     if thorough:
         options.sift.peak_threshold /= 2
-        options.sift.estimate_affine_shape = options.sift.domain_size_pooling = True
     return options
 
 

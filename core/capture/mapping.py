@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import Enum
 from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import numpy as np
 import pycolmap
@@ -99,6 +100,35 @@ def _options(attempt: Attempt, seed: int) -> pycolmap.IncrementalPipelineOptions
         options.mapper.abs_pose_min_num_inliers, options.mapper.abs_pose_min_inlier_ratio = 15, 0.15
         options.mapper.max_reg_trials = 6
     return options
+
+
+def triangulate_again(
+    model: pycolmap.Reconstruction, path: Path, attempt: Attempt, seed: int, progress: Progress
+) -> pycolmap.Reconstruction:
+    """Triangulate points from other matches of the same features, and adjust poses and points to them.
+
+    Args:
+        model: poses, found with other matches.
+        path: the database with the matches that count.
+        attempt: settings of the run that found the poses.
+        seed: seed of all random choices.
+        progress: receiver; it may cancel.
+
+    Returns:
+        The new model.
+
+    Raises:
+        Cancelled: if the user stopped the job.
+    """
+    copied, refined = pycolmap.Reconstruction(model), attempt.freedom is not Freedom.FIXED
+
+    def call(token: pycolmap.CancellationToken) -> pycolmap.Reconstruction:
+        with TemporaryDirectory() as folder:
+            return pycolmap.triangulate_points(copied, path, path.parent, folder, True, _options(attempt, seed), refined, token)
+
+    found = run_call(call, progress, "stopped while poses were refined", model.num_reg_images)
+    refine_robustly(found, attempt.freedom)
+    return found
 
 
 def refine_robustly(model: pycolmap.Reconstruction, freedom: Freedom) -> None:

@@ -21,6 +21,7 @@ MAX_AFFORDABLE = 150  # photographs up to which "auto" matches every pair where 
 NEXT_PHOTOGRAPHS = {"auto": 2, "sequential": 10}  # next photographs in the order of their names that each one is matched with
 SIMILAR_PHOTOGRAPHS = {"auto": 16, "sequential": 8}  # most similar photographs that each one is matched with; more give no better poses
 CHUNK = 250  # pairs after which matches are written: what a killed job loses; fewer take longer
+GUIDED_ERROR = 2.0  # pixels from the epipolar line at which a guided match counts; with 4, faint features gave wrong models
 TILE = 8  # photographs; pairs of two tiles are matched together, since search indices of photographs are built once a chunk
 
 Pairs = list[tuple[int, int]]
@@ -59,7 +60,7 @@ def select_pairs(path: Path, count: int, matching: str, seed: int) -> Pairs:
     return sorted(pairs)
 
 
-def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> None:
+def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress, guided: bool = False) -> None:
     """Match the pairs that the database has no matches of yet.
 
     Args:
@@ -67,6 +68,7 @@ def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> N
         pairs: pairs (i, j) of indices.
         seed: seed of RANSAC.
         progress: receiver; it may cancel.
+        guided: match once more near the epipolar lines that the first matches give, where the ratio to the second-best match means less.
 
     Raises:
         Cancelled: if the user stopped the job; matches found so far are kept.
@@ -75,11 +77,11 @@ def match_features(path: Path, pairs: Pairs, seed: int, progress: Progress) -> N
     pycolmap.set_random_seed(seed)
     tiled = sorted(pairs, key=lambda pair: (pair[0] // TILE, pair[1] // TILE, pair))
     for start in range(0, len(pairs), CHUNK):
-        _match_chunk(path, tiled[start : start + CHUNK], seed, start, progress)
+        _match_chunk(path, tiled[start : start + CHUNK], seed, start, progress, guided)
         progress.step(min(start + CHUNK, len(pairs)))
 
 
-def _match_chunk(path: Path, pairs: Pairs, seed: int, done: int, progress: Progress) -> None:
+def _match_chunk(path: Path, pairs: Pairs, seed: int, done: int, progress: Progress, guided: bool) -> None:
     """Match some pairs; COLMAP skips those that have matches."""
     listed = path.with_name("pairs.txt")
     write_atomic(listed, "".join(f"{image_name(i + 1)} {image_name(j + 1)}\n" for i, j in pairs).encode())
@@ -87,7 +89,10 @@ def _match_chunk(path: Path, pairs: Pairs, seed: int, done: int, progress: Progr
     pairing.match_list_path = listed
     matching = pycolmap.FeatureMatchingOptions()
     matching.use_gpu, matching.num_threads = False, thread_count()
+    matching.guided_matching = guided
     verification = pycolmap.TwoViewGeometryOptions()
+    if guided:
+        verification.ransac.max_error = GUIDED_ERROR
     verification.ransac.random_seed = seed
 
     def call(token: pycolmap.CancellationToken) -> None:
