@@ -16,7 +16,6 @@ from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
 from .detail.albedo_detail import detailed_by_dataset
-from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
@@ -159,8 +158,6 @@ def _read(
     dataset: Path, run: Path, settings: Settings, device: ChosenDevice, progress: Progress, size: TextureSize | None
 ) -> tuple[Dataset, MemoryLayout, TextureSize]:
     """Load a dataset, choose the texture size unless it is given, and check that the job fits on the disk and into memory."""
-    if settings.second.brdf != "principled" and settings.second.solver != "joint":
-        raise InputError("second.brdf", f"{settings.second.brdf} is of the joint optimisation alone", "add --set second.solver=joint")
     data = load_dataset(dataset, settings.data, progress)
     settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
     if settings.second.solver != "closed":

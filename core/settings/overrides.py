@@ -45,9 +45,13 @@ def _warn(line: str) -> None:
 
 
 def check(settings: Settings) -> Settings:
-    """Return the same settings; raise InputError where a value is not of its annotated type or out of its range."""
+    """Return the same settings; raise InputError where a value is not of its annotated type, out of its range, or would be ignored."""
     for key, annotation, value in _leaves(settings):
         _check_value(key, annotation, value)
+    second = settings.second
+    if second.brdf != "principled" and second.solver != "joint":
+        what = f"{second.brdf} is a BRDF of the joint optimisation alone, and second.solver={second.solver} would ignore it"
+        raise InputError("second.brdf", what, "add --set second.solver=joint")
     return settings
 
 

@@ -103,3 +103,12 @@ def test_overrides_lead_from_one_settings_to_another():
     found = overrides_from(preset("draft"), changed)
     assert set(found) == set(texts) and with_overrides(preset("draft"), found) == changed
     assert overrides_from(changed, preset("draft"))[:1] == ["seed=0"] and "data.radius=none" in overrides_from(changed, preset("draft"))
+
+
+@pytest.mark.parametrize("solver", ["closed", "closed+joint"])
+def test_a_brdf_that_the_solver_would_ignore_is_refused(solver):
+    words = rf"second\.brdf: .*second\.solver={solver.replace('+', '.')} would ignore it.*--set second\.solver=joint"
+    with pytest.raises(InputError, match=words):
+        with_overrides(Settings(), ["second.brdf=irgs", f"second.solver={solver}"])
+    for texts in (["second.brdf=irgs", "second.solver=joint"], ["second.solver=joint", "second.brdf=irgs"]):
+        assert with_overrides(Settings(), texts).second.brdf == "irgs"
