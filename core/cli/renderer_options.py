@@ -5,7 +5,9 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, get_args
+
+from ..settings.schema import Brdf
 
 if TYPE_CHECKING:
     from ..relight.relight_settings import RelightSettings
@@ -38,7 +40,9 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
     share = "share of the mesh's normals in the shading normals, 0 (those of the Gaussians) to 1 (default: 0.5)"
     one.add_argument("--mesh-normals", type=_fraction, default=0.5, metavar="W", help=share)
     diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
-    one.add_argument("--diffuse", choices=("lambert", "conserving"), default="conserving", help=diffuse)
+    one.add_argument("--diffuse", choices=("lambert", "conserving"), help=diffuse)
+    brdf = "reflectance model: principled, or irgs for the baseline IRGS' (default: the one that the run's materials were fitted with)"
+    one.add_argument("--brdf", choices=get_args(Brdf), help=brdf)
 
 
 def relight_settings(args: argparse.Namespace) -> RelightSettings:
@@ -55,7 +59,8 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
         transfer=not args.no_transfer,
         ratio=not args.no_ratio,
         divide=not args.no_divide,
-        conserving=args.diffuse == "conserving",
+        conserving=None if args.diffuse is None else args.diffuse == "conserving",
+        brdf=args.brdf,
     )
 
 

@@ -74,7 +74,7 @@ class VertexShading:
         black, white = (replace(points, albedo=torch.full_like(points.normal, value)) for value in (0.0, 1.0))
         gloss = self._gloss.reflected(black, self._light).specular.cpu().numpy()
         metal = self._gloss.reflected(white, self._light).specular.cpu().numpy() - gloss
-        fraction = diffuse_fraction(torch.from_numpy(facing[index]), points.roughness).numpy()[:, None]
+        fraction = diffuse_fraction(torch.from_numpy(facing[index]), points.roughness).numpy()[:, None] if self._gloss.conserving else 1.0
         diffuse = (1 - mesh.metallic[index, None]) * fraction * self.irradiance[index]
         layers = np.zeros((2, count, 3), np.float32)
         layers[0, index], layers[1, index] = diffuse + metal, gloss

@@ -7,18 +7,20 @@ from collections.abc import Sequence
 
 from ..relight.backends import Backend
 from ..relight.relight_settings import RelightSettings
+from ..settings.schema import Brdf
 from .cases import Cases
 from .image_metrics import LpipsBySuffix
 from .lpips import NO_LPIPS
 from .protocols import Protocol
 
 
-def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
+def describe_renderer(relight: RelightSettings, backend: Backend, brdf: Brdf) -> str:
     """Describe how images were rendered, in words for a report.
 
     Args:
         relight: settings of the images.
         backend: what secondary rays are traced on.
+        brdf: reflectance model.
     """
     denoised = {"demodulated": "denoised", "paper": "denoised as in the paper", "off": "not denoised"}[relight.denoise]
     parts = [f"{relight.samples} samples per pixel", f"{backend} backend", denoised]
@@ -32,7 +34,8 @@ def describe_renderer(relight: RelightSettings, backend: Backend) -> str:
     parts += [] if relight.ratio else ["without the known irradiance"]
     parts += [] if relight.divide else ["one point per pixel"]
     parts += [] if relight.mesh_normals == RelightSettings().mesh_normals else [f"mesh normals {relight.mesh_normals:g}"]
-    return ", ".join(parts if relight.conserving else [*parts, "Lambertian diffuse lobe"])
+    parts += ["IRGS' BRDF"] if brdf == "irgs" else ["Lambertian diffuse lobe"] if relight.conserving is False else []
+    return ", ".join(parts)
 
 
 def describe_conditions(cases: Cases, protocol: Protocol, lpips: LpipsBySuffix, scale: Sequence[float] | None, renderer: str) -> list[str]:

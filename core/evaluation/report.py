@@ -119,7 +119,8 @@ def evaluate(
         "split": cases.split,
         "choices": {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(choices).items()},
     }
-    conditions = describe_conditions(cases, choices, distances, report["albedo_scale"], describe_renderer(relight, backend))
+    renderer = describe_renderer(relight, backend, relight.brdf or reconstruction.brdf)
+    conditions = describe_conditions(cases, choices, distances, report["albedo_scale"], renderer)
     report["protocol"] = [*describe_protocol(choices), light.description, *conditions, *([CYCLES_PROTOCOL] if cycles else [])]
     _write(output or run / "evaluation", report, page(report, evaluation.shown, choices, asset, light), light)
     return report

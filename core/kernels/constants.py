@@ -37,6 +37,9 @@ SURFEL_GRADIENTS = 13  # leading columns of a record that have a gradient; in a 
 # --- specular lobe
 DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of what is no metal
 SHORTEST2 = 1e-7  # lower bound of |view + light direction|^2
+LEAST_ALPHA = 0.05**2  # least alpha of sampled lobes, and of the principled BRDF's: roughness below 0.05 is treated as 0.05
+IRGS_DENOMINATOR = (1e-6, 4 * np.pi)  # bounds of the denominator of IRGS' specular lobe, which cap lobes of a roughness below 0.12
+IRGS_FRESNEL = (-5.55473, -6.98316)  # Schlick's (1 - v.h)^5 as 2^((a v.h + b) v.h) (Karis 2013, "Real Shading in Unreal Engine 4")
 # A traced direction stands for its stratum, a part of a texel of the light. The lobe is averaged over PER_STRATUM directions of the stratum
 # where sin^2 of normal and half vector + alpha^2 is below NARROW times the solid angle; elsewhere it hardly varies from end to end.
 PER_STRATUM, NARROW = 16, 8.0

@@ -54,7 +54,7 @@ def add_light_samples(
     sample, direction, weights = np.empty((len(shift) * n_e, 3), np.int32), *np.empty((2, len(shift) * n_e, 3), np.float32)
     ranges = even_ranges(len(shift), 4 * thread_count())
     counted = np.zeros((len(ranges), 2), np.int64)
-    out = (sums.numpy(), sample, direction, weights, counted)
+    out = (points.brdf == "irgs", sums.numpy(), sample, direction, weights, counted)
     run_ranges(light_range, ranges, *arrays, n_c, n_g, table, light.turn, *unoccluded, *out, numbered=True)
     above, traced = int(counted[:, 0].sum()), counted[:, 1]
     parts = [slice(begin * n_e, begin * n_e + count) for (begin, _), count in zip(ranges, traced, strict=True)]
@@ -75,7 +75,7 @@ def _on_device(
     from ..kernels.warp import light as kernels  # an optional dependency
 
     n_c, n_g, n_e = counts
-    sets = (shift.contiguous(), point_set(n_e).to(shift), n_c, n_g, light.table, light.turn)
+    sets = (shift.contiguous(), point_set(n_e).to(shift), n_c, n_g, light.table, light.turn, points.brdf == "irgs")
     entry, direction, weights = kernels.draw_light(points.view, points.normal, points.alpha, *sets)
     above = torch.nonzero(entry.view(-1) >= 0)[:, 0]
     hidden = torch.zeros(entry.shape, device=sums.device)

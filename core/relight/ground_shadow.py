@@ -80,7 +80,7 @@ def shadow_alpha(relighter: Relighter, surface: PrimaryHits, light: PreparedLigh
     mode = relighter.settings.denoise
     seen = matt.diffuse if mode == "off" else denoised(matt, surface, Guides(surface, relighter.reconstruction.bound.radius), mode)
     free = light.irradiance(surface.normal) + _free_irradiance(relighter, surface, lamps)
-    free = free * diffuse_albedo(surface, relighter.settings.conserving) / math.pi
+    free = free * diffuse_albedo(surface, relighter.conserving) / math.pi
     ratio = torch.where(free > 0, seen / free.clamp_min(1e-20), 1.0).mean(1)
     alpha[surface.index.cpu()] = (1 - ratio).clamp(0, 1).cpu()
     return alpha.view(*surface.coverage.shape)

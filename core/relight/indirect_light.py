@@ -7,7 +7,7 @@ reflects the irradiance of the mesh's vertices around it, and the prefiltered li
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import torch
@@ -15,6 +15,7 @@ import torch
 from ..kernels.cpu.gathering import gather_range, terms_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from ..settings.schema import Brdf
 from ..shading.brdf import base_reflectance, bend_view_to_normal, ggx_alpha
 from ..shading.environment_lookup import direction_to_uv
 from ..shading.sampling import Samples
@@ -38,16 +39,20 @@ class ShadingPoints:
         origin: (P, 3) origins of secondary rays, world.
         view: (P, 3) unit, towards the eye, on the normal's side.
         normal: (P, 3) unit.
-        alpha: (P,) of GGX.
+        alpha: (P,) of GGX; of IRGS' BRDF without a lower bound.
+        brdf: reflectance model.
     """
 
     origin: torch.Tensor
     view: torch.Tensor
     normal: torch.Tensor
     alpha: torch.Tensor
+    brdf: Brdf = "principled"
 
     @classmethod
-    def from_roughness(cls, origin: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor) -> ShadingPoints:
+    def from_roughness(
+        cls, origin: torch.Tensor, view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor, brdf: Brdf = "principled"
+    ) -> ShadingPoints:
         """Build the points from unconstrained view vectors.
 
         Args:
@@ -55,10 +60,16 @@ class ShadingPoints:
             view: (P, 3) unit, towards the eye.
             normal: (P, 3) unit.
             roughness: (P,) in 0..1.
+            brdf: reflectance model.
         """
-        return cls(
-            origin.contiguous(), bend_view_to_normal(view, normal).contiguous(), normal.contiguous(), ggx_alpha(roughness).contiguous()
-        )
+        alpha = roughness * roughness if brdf == "irgs" else ggx_alpha(roughness)
+        view = bend_view_to_normal(view, normal)
+        return cls(origin.contiguous(), view.contiguous(), normal.contiguous(), alpha.contiguous(), brdf)
+
+    @property
+    def tensors(self) -> tuple[torch.Tensor, ...]:
+        """Return all tensors."""
+        return self.origin, self.view, self.normal, self.alpha
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,7 +113,7 @@ class HitSurfaces:
     @property
     def tensors(self) -> tuple[torch.Tensor, ...]:
         """Return all tensors."""
-        return (*vars(self.points).values(), self.f0)
+        return (*self.points.tensors, self.f0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -115,6 +126,7 @@ class SecondaryScene:
         conserving: reduce their diffuse lobe by what the specular lobe reflects, see `reflect_light`.
         transfer: radiance transfer of the mesh whose vertices light the hit surfaces; None: the unoccluded light does.
         for_lamps: return the hit surfaces as well, for lamps to light them.
+        brdf: reflectance model of the hit surfaces.
     """
 
     query: SurfaceQuery
@@ -122,6 +134,7 @@ class SecondaryScene:
     conserving: bool
     transfer: VertexTransfer | None = None
     for_lamps: bool = False
+    brdf: Brdf = "principled"
 
     def trace(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, HitReflectance, HitSurfaces | None]:
         """Trace rays.
@@ -134,6 +147,8 @@ class SecondaryScene:
             (R,) int32 index of each ray's hit, -1 for none; the reflectances of the K hits; and their surfaces, if asked for.
         """
         hits = self.query.hits(origin, direction)
+        if self.brdf == "irgs":  # it has no metal
+            hits = replace(hits, metallic=torch.zeros_like(hits.metallic))
         row = torch.full((len(origin),), -1, dtype=torch.int32, device=origin.device)
         row[hits.ray] = torch.arange(len(hits.ray), dtype=torch.int32, device=origin.device)
         view = -direction[hits.ray]
@@ -143,7 +158,7 @@ class SecondaryScene:
         """Return the hits as points that lamps light; None where that is not asked for."""
         if not self.for_lamps or self.scale is None:
             return None
-        points = ShadingPoints.from_roughness(hits.point, view, hits.normal, hits.roughness)
+        points = ShadingPoints.from_roughness(hits.point, view, hits.normal, hits.roughness, self.brdf)
         return HitSurfaces(points, base_reflectance(hits.albedo * self.scale, hits.metallic[:, None]))
 
     def _reflectance(self, hits: Hits, view: torch.Tensor) -> HitReflectance:
@@ -156,7 +171,7 @@ class SecondaryScene:
         diffuse = (1 - metallic) * albedo
         if self.conserving:
             diffuse = diffuse * diffuse_fraction(n_v, hits.roughness)[:, None]
-        specular = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic))
+        specular = specular_albedo(n_v, hits.roughness, base_reflectance(albedo, metallic), self.brdf)
         places = (*direction_to_uv(hits.normal), *direction_to_uv(reflect(view, hits.normal)), stack_level(hits.roughness))
         return HitReflectance(hits.opacity, diffuse, specular, torch.stack(places, 1), *vertices)
 
@@ -216,11 +231,13 @@ def trace_samples(scene: SecondaryScene, points: ShadingPoints, samples: Samples
     """
     count = samples.direction.shape[1]
     terms = points.normal.new_empty(len(points.normal), count, TERMS)
-    tensors = (points.view, points.normal, points.alpha, samples.direction.contiguous(), samples.density.contiguous(), terms)
+    tensors = (points.view, points.normal, points.alpha, samples.direction.contiguous(), samples.density.contiguous())
+    irgs = points.brdf == "irgs"
     if by_warp(terms):
-        _warp_kernels().terms(*tensors)
+        _warp_kernels().terms(*tensors, irgs, terms)
     else:
-        run_ranges(terms_range, even_ranges(len(terms), 4 * thread_count()), *(t.numpy() for t in tensors))
+        parts = even_ranges(len(terms), 4 * thread_count())
+        run_ranges(terms_range, parts, *(t.numpy() for t in tensors), irgs, terms.numpy())
     above = torch.nonzero(terms[..., COSINE].flatten() > 0)[:, 0]
     row = torch.full((terms.shape[0] * count,), -1, dtype=torch.int32, device=terms.device)
     row[above], hits, surfaces = scene.trace(points.origin[above // count], samples.direction.view(-1, 3)[above])

@@ -16,9 +16,9 @@ import torch
 from ..kernels.reflection import weighted_sums
 from ..machine.backend import by_warp
 from ..scene.lamps import Lamp
-from ..shading.brdf import sample_visible_normal, visible_normal_density
+from ..shading.brdf import LEAST_ALPHA, sample_visible_normal, visible_normal_density
 from ..shading.lamp_sampling import LampLight, draw_lamp, has_extent, seen_lamp
-from ..shading.rendering_equation import weighted_sums_reference
+from ..shading.rendering_equation import irgs_sums, weighted_sums_reference
 from ..shading.sampling import DENSITY_FLOOR, orthonormal_basis, shifted_points
 from .indirect_light import DENSITY, LOBES, TERMS, SecondaryRays, ShadingPoints
 from .sample_counts import R2, SampleCounts
@@ -106,7 +106,7 @@ def _samples(points: ShadingPoints, frame: torch.Tensor, lamp: Lamp, shift: torc
         return drawn, _above(points, drawn.direction)
     u = shifted_points(count, shift)
     local_view = (points.view[:, None] @ frame).expand(-1, 1, -1)
-    alpha = points.alpha[:, None]
+    alpha = points.alpha[:, None].clamp_min(LEAST_ALPHA)  # of the samples
     even = count // 4 * 2  # half as many as towards the lamp, but even: even and odd samples make independent halves
     half = sample_visible_normal(local_view, alpha, shifted_points(even, shift))
     mirrored = torch.nn.functional.normalize((2 * (local_view * half).sum(-1, keepdim=True) * half - local_view) @ frame.mT, dim=-1)
@@ -137,6 +137,8 @@ def _unoccluded(points: ShadingPoints, lamp: Lamp, arriving: LampLight, lit: tor
 
 def _weighted(points: ShadingPoints, direction: torch.Tensor, density: torch.Tensor, radiance: torch.Tensor) -> torch.Tensor:
     """Return means over samples (P, 3, 3), see `weighted_sums`."""
+    if points.brdf == "irgs":
+        return irgs_sums(points.view, points.normal, points.alpha.sqrt(), direction, density, radiance)
     use_kernel = radiance.dtype == torch.float32 and not by_warp(radiance)
     function = weighted_sums if use_kernel else weighted_sums_reference
     return function(points.view, points.normal, points.alpha, direction, density, radiance)

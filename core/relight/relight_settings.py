@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Literal
 
-from ..settings.schema import SkipSettings
+from ..settings.schema import Brdf, SkipSettings
 from .sample_counts import Proportions
 
 
@@ -21,7 +21,8 @@ class RelightSettings:
         indirect: add the light that other parts of the object reflect; without it they only cast shadows.
         transfer: these parts receive light with shadows and interreflections, see `VertexTransfer`, where there is a mesh; False: the
             unoccluded light (the paper).
-        conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper).
+        conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper);
+            None: as is usual for the BRDF, which is not for IRGS'.
         mesh_normals: weight of the mesh's normals in the shading normals, 0..1, where there is a mesh.
         albedo_scale: factor of the albedo per channel: under an unknown light its brightness cannot be determined.
         skip: `reuse_visibility` ("off": every ray is traced) and `cache_rays` ("off": nothing is kept from light to light), see
@@ -33,6 +34,7 @@ class RelightSettings:
         ratio: the diffuse light's unoccluded part is known and not sampled, see `estimate_reflected_light`; False: it is (the paper).
         divide: shade the rays of a pixel apart where the surface bends within it, see `DividedHits`. False: one point per pixel (the
             paper).
+        brdf: reflectance model; None: that of the reconstruction, which its materials were fitted with.
     """
 
     samples: str | int = "hq"
@@ -40,7 +42,7 @@ class RelightSettings:
     denoise: Literal["demodulated", "paper", "off"] = "demodulated"
     indirect: bool = True
     transfer: bool = True
-    conserving: bool = True
+    conserving: bool | None = None
     mesh_normals: float = 0.5
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
@@ -49,3 +51,4 @@ class RelightSettings:
     shadows: bool = True
     ratio: bool = True
     divide: bool = True
+    brdf: Brdf | None = None

@@ -20,6 +20,7 @@ from ..rendering.gbuffer import SUBPIXELS
 from ..scene.camera import Camera
 from ..scene.lamps import Lamp
 from ..scene.reconstruction import Reconstruction
+from ..settings.schema import Brdf
 from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
 from .denoise import Guides, denoised
@@ -53,6 +54,8 @@ class Relighter:
         mesh: mesh whose normals refine those of the Gaussians, or None.
 
     Attributes:
+        brdf: reflectance model of the images.
+        conserving: the diffuse lobe is reduced by what the specular lobe reflects.
         counts: samples of each strategy per pixel.
         device: device of the reconstruction.
         tally: numbers of rays of all images so far.
@@ -69,6 +72,11 @@ class Relighter:
         self.reconstruction, self.query, self.settings, self.mesh = reconstruction, query, settings, mesh
         if settings.error is not None and settings.denoise == "paper":
             raise InputError("--error", "the error of the paper's filter does not fall with more samples", "use another --denoiser")
+        self.brdf: Brdf = settings.brdf or reconstruction.brdf
+        if self.brdf == "irgs" and settings.conserving:
+            what = "conserving is of the principled BRDF, and IRGS' has a full diffuse lobe"
+            raise InputError("--diffuse", what, "leave it out, or add --brdf principled")
+        self.conserving = self.brdf == "principled" and settings.conserving is not False
         self.counts = self._counts_of(settings.samples)
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
@@ -101,6 +109,8 @@ class Relighter:
 
     def _with_normals_and_origins(self, surface: PrimaryHits) -> PrimaryHits:
         """Return a surface with refined normals, and with origins of secondary rays."""
+        if self.brdf == "irgs":  # it has no metal
+            surface = dataclasses.replace(surface, metallic=torch.zeros_like(surface.metallic))
         if self.mesh is not None and self.settings.mesh_normals > 0:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
@@ -122,7 +132,7 @@ class Relighter:
         """Estimate the diffuse and specular light that points reflect, not denoised; nothing where there is no light.
 
         Args:
-            surface: P points.
+            surface: P points, without metal for IRGS' BRDF.
             light: light from `prepare_light`.
             lamps: lamps that light the points as well.
         """
@@ -143,7 +153,7 @@ class Relighter:
     def _estimate(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
         """Estimate the light that points reflect, by as many samples at each."""
         sums = self._sums(surface, counts, light, lamps)
-        return estimate_reflected_light(sums, sum(counts), surface, light, self.settings.conserving, self.settings.ratio)
+        return estimate_reflected_light(sums, sum(counts), surface, light, self.conserving, self.settings.ratio)
 
     @torch.no_grad()
     def _relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
@@ -254,9 +264,9 @@ class Relighter:
         arguments = (surface.view[part], surface.normal[part], surface.roughness[part])
         counts = counts._replace(light=0) if self.settings.sampling == "mis" else counts
         drawn = draw(*arguments, counts, distribution, shift, self.settings.sampling)
-        points = ShadingPoints.from_roughness(surface.origin[part], *arguments)
+        points = ShadingPoints.from_roughness(surface.origin[part], *arguments, self.brdf)
         scale = self._scale if self.settings.indirect else None
-        scene = SecondaryScene(self.query, scale, self.settings.conserving, self._transfer, for_lamps)
+        scene = SecondaryScene(self.query, scale, self.conserving, self._transfer, for_lamps, self.brdf)
         rays = trace_samples(scene, points, Samples(drawn.direction, drawn.density * sum(counts)))
         if self.settings.skip.reuse_visibility == "off" or self.settings.sampling != "mis":
             return CachedRays(points, shift, rays, VisibilityCache.unknown(len(shift)))

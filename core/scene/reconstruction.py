@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import torch
@@ -14,6 +15,7 @@ from ..errors import InputError
 from ..io.atomic import atomic_file, write_atomic
 from ..io.exr import read_exr_rgb, rgb_channels, write_exr
 from ..io.npz import read_arrays
+from ..settings.schema import Brdf
 from .dataset import Bound
 from .gaussians import Gaussians, load_surfels, save_gaussians
 from .gbuffer import SurfaceSamples
@@ -73,6 +75,7 @@ class Reconstruction:
         reflections: materials and light of the reflections in the radiance, where they differ from the surfels' and from `environment`.
         confidence: (3, N) float32 of each surfel's albedo, roughness and metallic, in 0..1: how well the photographs bear them out, see
             `core/stages/second/refinement/material_confidence.py`; None where it was not measured.
+        brdf: reflectance model that the materials belong to: they were fitted with it, and are relit with it.
     """
 
     gaussians: Gaussians
@@ -83,6 +86,7 @@ class Reconstruction:
     background: torch.Tensor | None = None
     reflections: Reflections | None = None
     confidence: torch.Tensor | None = None
+    brdf: Brdf = "principled"
 
     def environment_map(self) -> np.ndarray:
         """Return the light as a numpy array (H, W, 3) float32."""
@@ -135,6 +139,7 @@ class Reconstruction:
             "glossy": self.has_split_sum,
             "background": self.background is not None,
             "reflections": self.reflections is not None,
+            "brdf": self.brdf,
         }
         write_atomic(folder / "reconstruction.json", json.dumps(about, indent=1).encode())
 
@@ -152,12 +157,16 @@ class Reconstruction:
             bound = Bound((x, y, z), float(about["bound"]["radius"]))
             to_world, has_split_sum = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
+            brdf = about.get("brdf", "principled")  # runs of earlier versions have no other
         except FileNotFoundError as error:
             raise InputError(path, "no such file", "give the folder of a finished run") from error
         except (OSError, KeyError, ValueError, TypeError) as error:
             raise InputError(path, f"not readable ({error})") from error
+        if brdf not in get_args(Brdf):
+            known = ", ".join(get_args(Brdf))
+            raise InputError(path, f"its materials belong to the BRDF {brdf!r}, known are {known}", "open it with the version that made it")
         background = torch.from_numpy(read_exr_rgb(folder / "background.exr")) if has_background else None
         environment = torch.from_numpy(read_exr_rgb(folder / "environment.exr"))
         gaussians, confidence = load_surfels(folder / "gaussians.ply")
         reflections = Reflections.load(folder / "reflections.npz", gaussians.count) if has_reflections else None
-        return cls(gaussians, environment, bound, to_world, has_split_sum, background, reflections, confidence)
+        return cls(gaussians, environment, bound, to_world, has_split_sum, background, reflections, confidence, brdf)

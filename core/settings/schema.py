@@ -18,6 +18,7 @@ class Range(NamedTuple):
 
 
 Choice = Literal["auto", "on", "off"]
+Brdf = Literal["principled", "irgs"]  # reflectance model that materials belong to, see `core/shading/brdf.py`
 
 
 @dataclass(frozen=True)
@@ -82,7 +83,7 @@ class SecondStageSettings:
     # Of the joint optimisation: factor of the published learning rates of position, scale, rotation and opacity; 0: fixed, as in IRGS.
     geometry_rate: Annotated[float, Range(0)] = 0.01
     # Of the joint optimisation; irgs: a baseline with IRGS' BRDF, without metal, from its constant materials and light.
-    brdf: Literal["principled", "irgs"] = "principled"
+    brdf: Brdf = "principled"
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved
     views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
     rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve

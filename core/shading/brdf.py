@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Microfacet BRDF: GGX distribution, height-correlated Smith masking-shadowing, Schlick Fresnel; used by every part of the project.
+"""Microfacet BRDFs: that of the whole project ("principled"), and that of the baseline IRGS ("irgs").
 
+principled: GGX distribution, height-correlated Smith masking-shadowing, Schlick's Fresnel.
 f = (1 - m) a / pi + F D V,  F0 = 0.04 (1 - m) + m a,  V = G / (4 n.l n.v),  alpha = roughness^2
+irgs: no metal. f = a / pi + F alpha^2 / clamp(4 pi ((n.h)^2 (alpha^2 - 1) + 1)^2 g(n.v) g(n.l), 1e-6, 4 pi), F0 = 0.04,
+g(x) = x (1 - k) + k with k = (roughness + 1)^2 / 8 (Schlick's masking)
 """
 
 from __future__ import annotations
@@ -10,15 +13,14 @@ import math
 
 import torch
 
-from ..kernels.constants import DIELECTRIC_F0
+from ..kernels.constants import DIELECTRIC_F0, IRGS_DENOMINATOR, IRGS_FRESNEL, LEAST_ALPHA
 
-ALPHA_FLOOR = 0.05**2  # roughness below 0.05 is treated as 0.05
 COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
 
 
 def ggx_alpha(roughness: torch.Tensor) -> torch.Tensor:
     """Return the GGX alpha, roughness^2 with a lower bound, for perceptual roughness (...,) in 0..1."""
-    return (roughness * roughness).clamp_min(ALPHA_FLOOR)
+    return (roughness * roughness).clamp_min(LEAST_ALPHA)
 
 
 def ggx_distribution(n_h: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:
@@ -115,6 +117,31 @@ def specular_lobe(
     value = ggx_of_sine((tangential * tangential).sum(-1) / length2, alpha) * smith_visibility(cosine, n_v, alpha)
     power = (1 - 0.5 * length2.sqrt()).clamp(0, 1) ** 5  # |half| = 2 v.h
     return n_l, torch.where(above, value, 0.0), power
+
+
+def irgs_lobe(
+    view: torch.Tensor, normal: torch.Tensor, roughness: torch.Tensor, direction: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+    """Evaluate the specular part of IRGS' BRDF without its Fresnel colour, for N directions at each of P points.
+
+    Args:
+        view: (P, 3) unit, towards the eye.
+        normal: (P, 3) unit.
+        roughness: (P,) in 0..1, without a lower bound: the denominator's takes its place.
+        direction: (P, N, 3) unit, towards the light.
+
+    Returns:
+        Three (P, N) tensors as of `specular_lobe`: n.l; the lobe, zero where n.l <= 0; the power that stands for (1 - v.h)^5.
+    """
+    half = torch.nn.functional.normalize(direction + view[:, None], dim=-1)
+    cosine, n_h = (torch.einsum("pnc,pc->pn", vector, normal) for vector in (direction, half))
+    n_l, n_h, n_v = (value.clamp(1e-6, 1) for value in (cosine, n_h, (view * normal).sum(-1)[:, None]))
+    v_h = torch.einsum("pnc,pc->pn", half, view).clamp(1e-6, 1)
+    alpha, k = roughness[:, None] ** 2, (roughness[:, None] + 1) ** 2 / 8
+    lobe = (n_h**2 * (alpha**2 - 1) + 1) ** 2 * (n_v * (1 - k) + k) * (n_l * (1 - k) + k)
+    value = alpha**2 / (4 * math.pi * lobe).clamp(*IRGS_DENOMINATOR)
+    first, second = IRGS_FRESNEL
+    return cosine, torch.where(cosine > 0, value, 0.0), 2 ** ((first * v_h + second) * v_h)
 
 
 def visible_normal_density(view: torch.Tensor, direction: torch.Tensor, alpha: torch.Tensor) -> torch.Tensor:

@@ -13,7 +13,7 @@ import numpy as np
 
 from .directions import lightmap_place, texel_at, turned
 from .jit import helper, kernel
-from .reflection import point_terms, specular_terms
+from .reflection import irgs_terms, point_terms, specular_terms
 
 
 @helper
@@ -70,10 +70,10 @@ def reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular
 
 
 @kernel
-def terms_range(begin, end, view, normal, alpha, direction, density, terms):
+def terms_range(begin, end, view, normal, alpha, direction, density, irgs, terms):
     """Write to `terms` (P, M, 6), for points begin..end, the terms of each ray that do not depend on the light; 0 below the horizon.
 
-    They are u, v, cosine, cosine times the two parts of the specular lobe, and density.
+    They are u, v, cosine, cosine times the two parts of the specular lobe, and density. irgs: True for the lobe of IRGS' BRDF.
     """
     for p in range(begin, end):
         (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
@@ -83,7 +83,10 @@ def terms_range(begin, end, view, normal, alpha, direction, density, terms):
             if n_l <= 0:
                 terms[p, i, :] = 0.0
                 continue
-            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
+            if irgs:
+                value, bias = irgs_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, a2)
+            else:
+                value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
             terms[p, i, 0], terms[p, i, 1] = lightmap_place(dx, dy, dz)
             terms[p, i, 2], terms[p, i, 3], terms[p, i, 4] = n_l, value * n_l, bias * n_l
             terms[p, i, 5] = density[p, i]

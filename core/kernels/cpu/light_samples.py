@@ -9,8 +9,11 @@ from __future__ import annotations
 
 import math
 
+from ..constants import LEAST_ALPHA
 from .jit import helper, kernel
-from .reflection import point_terms, specular_terms
+from .reflection import irgs_terms, point_terms, specular_terms
+
+LEAST_ALPHA2 = LEAST_ALPHA * LEAST_ALPHA
 
 
 @helper
@@ -40,11 +43,13 @@ def _add(sums, p, half, weight, value, bias, r, g, b):
 
 @kernel
 def light_range(
-    number, begin, end, view, normal, alpha, shift, points, n_c, n_g, table, turn, tile, clear, bins, sums, sample, direction, weights, made
-):
+    number, begin, end, view, normal, alpha, shift, points, n_c, n_g, table, turn, tile, clear, bins, irgs, sums, sample, direction,
+    weights, made
+):  # fmt: skip
     """Draw the light samples above the horizon of points begin..end, and sum those in unoccluded directions.
 
     points: (n_e, 2) in [0, 1), shifted for each point. n_c, n_g: cosine and visible-normal samples that share the balance heuristic.
+    irgs: True for the lobe of IRGS' BRDF, whose alpha has no lower bound; that of the visible-normal samples has one.
     table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: rotation, fraction of a turn.
     tile: (P,) row of `clear` (tiles, bins^2), which marks unoccluded directions; samples there are added to `sums` (P, 2, 12) at once.
     made: (ranges, 2) receives the number of samples above the horizon and of those to be traced. The latter are written from row
@@ -54,7 +59,10 @@ def light_range(
     cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
     to, above = begin * n_e, 0
     for p in range(begin, end):
-        (nx, ny, nz), (vx, vy, vz), a2, n_v, root_v = point_terms(view, normal, alpha, p)
+        (nx, ny, nz), (vx, vy, vz), own2, n_v, root_v = point_terms(view, normal, alpha, p)
+        a2 = max(own2, LEAST_ALPHA2)
+        if irgs:
+            root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
         masked = 0.5 / (n_v + root_v)
         for i in range(n_e):
             across, down = points[i, 0] + float(shift[p, 0]), points[i, 1] + float(shift[p, 1])
@@ -69,6 +77,8 @@ def light_range(
             # D in the density of visible normals is that of the lobe without its factor 0.5 / sum_l.
             sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
             q = n_e * float(table[row, column, 3]) + n_c / math.pi * n_l + n_g * masked * (value + bias) * 2 * sum_l
+            if irgs:
+                value, bias = irgs_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, own2)
             weight = n_l / q
             value, bias = value * weight, bias * weight
             r, g, b = float(table[row, column, 4]), float(table[row, column, 5]), float(table[row, column, 6])

@@ -1,15 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CPU kernels of BRDF-weighted sums over light samples and of their gradients, in one pass over memory; see core/kernels/reflection.py.
 
-The reference in PyTorch operations is `specular_lobe` in core/shading/brdf.py, which defines the names.
+The references in PyTorch operations are `specular_lobe` and `irgs_lobe` in core/shading/brdf.py, which define the names.
 """
 
 from __future__ import annotations
 
 import math
 
-from ..constants import SHORTEST2
+from ..constants import IRGS_DENOMINATOR, IRGS_FRESNEL, SHORTEST2
 from .jit import helper, kernel
+
+LEAST_DENOMINATOR, LARGEST_DENOMINATOR = IRGS_DENOMINATOR
+FRESNEL_SQUARE, FRESNEL_LINEAR = IRGS_FRESNEL
 
 
 @helper
@@ -37,6 +40,23 @@ def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
     value = a2 / (math.pi * k * k) * 0.5 / sum_l
     x = 1 - 0.5 * math.sqrt(length2)
     bias = value * (x * x) * (x * x) * x
+    return value - bias, bias
+
+
+@helper
+def irgs_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, a2):
+    """Return the two parts of IRGS' specular lobe, which F0 scales and Fresnel adds, for normal n, view v and direction d; a2 = alpha^2."""
+    hx, hy, hz = dx + vx, dy + vy, dz + vz
+    length2 = max(hx * hx + hy * hy + hz * hz, SHORTEST2)
+    n_h = n_l + n_v
+    tx, ty, tz = hx - n_h * nx, hy - n_h * ny, hz - n_h * nz
+    k = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
+    grown = math.sqrt(math.sqrt(a2)) + 1
+    share = grown * grown * 0.125
+    denominator = 4 * math.pi * k * k * (n_v * (1 - share) + share) * (n_l * (1 - share) + share)
+    value = a2 / min(max(denominator, LEAST_DENOMINATOR), LARGEST_DENOMINATOR)
+    v_h = 0.5 * math.sqrt(length2)
+    bias = value * 2.0 ** ((FRESNEL_SQUARE * v_h + FRESNEL_LINEAR) * v_h)
     return value - bias, bias
 
 

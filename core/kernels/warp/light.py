@@ -11,17 +11,18 @@ from typing import Any
 import torch
 import warp as wp
 
-from .reflection import Point, lobe, point_of
+from ..constants import LEAST_ALPHA
+from .reflection import Point, irgs_lobe, lobe, point_of
 from .runtime import launch
 
-_PI, _TURN = wp.constant(math.pi), wp.constant(2 * math.pi)
+_PI, _TURN, _LEAST_ALPHA = wp.constant(math.pi), wp.constant(2 * math.pi), wp.constant(LEAST_ALPHA)
 Sums = wp.types.vector(length=12, dtype=wp.float32)
 
 
 @wp.func
 def point_at(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
-    """Return shading point p."""
-    return point_of(normal[p], view[p], wp.dot(normal[p], view[p]), alpha[p])
+    """Return shading point p; its alpha is that of the samples, which has a lower bound."""
+    return point_of(normal[p], view[p], wp.dot(normal[p], view[p]), wp.max(alpha[p], _LEAST_ALPHA))
 
 
 @wp.func
@@ -87,7 +88,7 @@ def lit(sums: Sums, weight: float, value: float, bias: float, light: wp.vec3, fr
 @wp.kernel
 def terms_kernel(
     view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), direction: wp.array2d(dtype=wp.vec3),
-    density: wp.array2d(dtype=float), out: wp.array3d(dtype=float),
+    density: wp.array2d(dtype=float), irgs: bool, out: wp.array3d(dtype=float),
 ):  # fmt: skip
     """Write the terms (P, M, 6) of each ray: u, v, cosine, cosine times the lobe's two parts, density; 0 below the horizon."""
     p, i = wp.tid()
@@ -97,6 +98,8 @@ def terms_kernel(
         out[p, i, c] = 0.0
     if n_l > 0.0:
         parts, place = lobe(point, d, n_l), place_of(d)
+        if irgs:
+            parts = irgs_lobe(point, d, n_l, alpha[p])
         out[p, i, 0] = place[0]
         out[p, i, 1] = place[1]
         out[p, i, 2] = n_l
@@ -137,8 +140,8 @@ def gather_kernel(
 @wp.kernel
 def draw_light_kernel(
     view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), shift: wp.array2d(dtype=float),
-    points: wp.array2d(dtype=float), n_c: int, n_g: int, table: wp.array3d(dtype=float), turn: float, entry: wp.array2d(dtype=int),
-    direction: wp.array2d(dtype=wp.vec3), weights: wp.array2d(dtype=wp.vec3),
+    points: wp.array2d(dtype=float), n_c: int, n_g: int, table: wp.array3d(dtype=float), turn: float, irgs: bool,
+    entry: wp.array2d(dtype=int), direction: wp.array2d(dtype=wp.vec3), weights: wp.array2d(dtype=wp.vec3),
 ):  # fmt: skip
     """Draw light samples: entry of the table (P, n_e), -1 below the horizon, direction and weights of the three lobes (P, n_e)."""
     p, i = wp.tid()
@@ -159,6 +162,8 @@ def draw_light_kernel(
         masked = 0.5 / (point.n_v + point.root)
         q = float(points.shape[0]) * table[line, column, 3] + float(n_c) / _PI * n_l
         q += float(n_g) * masked * (parts[0] + parts[1]) * 2.0 * sum_l
+        if irgs:
+            parts = irgs_lobe(point, d, n_l, alpha[p])
         weight = n_l / q
         entry[p, i] = line * size + column
         weights[p, i] = wp.vec3(weight, parts[0] * weight, parts[1] * weight)
@@ -186,14 +191,14 @@ def settle_kernel(
         sums[p, half, c] = sums[p, half, c] + acc[c]
 
 
-def terms(*tensors: torch.Tensor) -> None:
+def terms(*arguments: Any) -> None:
     """Fill the terms of rays that do not depend on the light.
 
     Args:
-        *tensors: as `terms_kernel` takes them; the last, (P, M, 6), is written.
+        *arguments: as `terms_kernel` takes them; the last, (P, M, 6), is written.
     """
-    if tensors[-1].numel():
-        launch(terms_kernel, tensors[-1].shape[:2], *tensors)
+    if arguments[-1].numel():
+        launch(terms_kernel, arguments[-1].shape[:2], *arguments)
 
 
 def gather(*arguments: Any) -> None:
@@ -208,20 +213,21 @@ def gather(*arguments: Any) -> None:
 
 def draw_light(
     view: torch.Tensor, normal: torch.Tensor, alpha: torch.Tensor, shift: torch.Tensor, points: torch.Tensor, n_c: int, n_g: int,
-    table: torch.Tensor, turn: float,
+    table: torch.Tensor, turn: float, irgs: bool,
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:  # fmt: skip
     """Draw light samples at points.
 
     Args:
         view: (P, 3) unit, on the normal's side.
         normal: (P, 3) unit.
-        alpha: (P,) GGX width.
+        alpha: (P,) GGX width; for IRGS without a lower bound.
         shift: (P, 2) shifts in [0, 1).
         points: (n_e, 2) point set in [0, 1).
         n_c: number of cosine samples in the balance heuristic.
         n_g: number of visible-normal samples in it.
         table: (T, T, 7) direction, density and radiance of the light.
         turn: rotation of the light, fraction of a full turn.
+        irgs: the lobe is that of IRGS' BRDF.
 
     Returns:
         Entry of the table (P, n_e) int32, -1 below the horizon; direction and weights (P, n_e, 3).
@@ -230,7 +236,7 @@ def draw_light(
     entry, direction = torch.empty(shape, dtype=torch.int32, device=view.device), view.new_empty(*shape, 3)
     weights = torch.empty_like(direction)
     if entry.numel():
-        launch(draw_light_kernel, shape, view, normal, alpha, shift, points, n_c, n_g, table, turn, entry, direction, weights)
+        launch(draw_light_kernel, shape, view, normal, alpha, shift, points, n_c, n_g, table, turn, irgs, entry, direction, weights)
     return entry, direction, weights
 
 

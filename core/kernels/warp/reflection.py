@@ -5,10 +5,12 @@ import math
 
 import warp as wp
 
-from ..constants import SHORTEST2
+from ..constants import IRGS_DENOMINATOR, IRGS_FRESNEL, SHORTEST2
 from . import runtime  # noqa: F401  (sets warp up)
 
-_SHORTEST2, _HALF_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi)
+_SHORTEST2, _HALF_PI, _FOUR_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi), wp.constant(4 * math.pi)
+_LEAST, _LARGEST = (wp.constant(float(bound)) for bound in IRGS_DENOMINATOR)
+_SQUARE, _LINEAR = (wp.constant(factor) for factor in IRGS_FRESNEL)
 
 
 @wp.struct
@@ -52,4 +54,21 @@ def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
     value = point.a2 * _HALF_PI / (k * k * both)
     x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
     bias = value * (x * x) * (x * x) * x
+    return wp.vec2(value - bias, bias)
+
+
+@wp.func
+def irgs_lobe(point: Point, d: wp.vec3, n_l: float, alpha: float) -> wp.vec2:
+    """Return the two parts of IRGS' specular lobe for n_l > 0; alpha has no lower bound, unlike that of the point."""
+    h = d + point.v
+    length2 = wp.max(wp.dot(h, h), _SHORTEST2)
+    t = h - point.n * (n_l + point.n_v)
+    a2 = alpha * alpha
+    k = a2 + wp.dot(t, t) / length2 * (1.0 - a2)
+    grown = wp.sqrt(alpha) + 1.0
+    share = grown * grown * 0.125
+    masks = (point.n_v * (1.0 - share) + share) * (n_l * (1.0 - share) + share)
+    value = a2 / wp.clamp(_FOUR_PI * k * k * masks, _LEAST, _LARGEST)
+    v_h = 0.5 * wp.sqrt(length2)
+    bias = value * wp.pow(2.0, (_SQUARE * v_h + _LINEAR) * v_h)
     return wp.vec2(value - bias, bias)

@@ -14,6 +14,8 @@ def test_options_become_settings(words):
     assert relight_settings(parser().parse_args(words)) == RelightSettings()
     changed = parser().parse_args([*words, "--no-denoise", "--no-indirect", "--diffuse", "lambert", "--sampling", "stratified"])
     assert relight_settings(changed) == RelightSettings(sampling="stratified", denoise="off", indirect=False, conserving=False)
+    assert relight_settings(parser().parse_args([*words, "--brdf", "irgs"])) == RelightSettings(brdf="irgs")
+    assert relight_settings(parser().parse_args([*words, "--diffuse", "conserving"])) == RelightSettings(conserving=True)
     assert relight_settings(parser().parse_args([*words, "--denoiser", "paper", "--no-transfer"])) == RelightSettings(
         denoise="paper", transfer=False
     )

@@ -26,7 +26,7 @@ EDGES = {"tensoir": 27, "irgs": 33}  # dB left by the error of half-covered pixe
 class Known:
     """Stand-in for a reconstruction in the dataset's own frame."""
 
-    to_world = np.eye(4)
+    to_world, brdf = np.eye(4), "principled"
 
     def __init__(self, light):
         self.light = light
@@ -169,6 +169,9 @@ def test_the_renderer_is_as_asked_and_the_report_says_so(demo, known, tmp_path, 
     assert asked == [("gaussian", replace(relight, samples=8))]
     words = "8 samples per pixel, gaussian backend, not denoised, strata of the hemisphere, without indirect light, Lambertian diffuse lobe"
     assert f"Shaded and relit images: {words}." in found["protocol"]
+    monkeypatch.setattr(Known, "brdf", "irgs")  # of the run
+    found = report.evaluate(tmp_path, demo[0], views=1, samples=8, device="cpu")
+    assert any(line.startswith("Shaded and relit") and line.endswith(", IRGS' BRDF.") for line in found["protocol"])
 
 
 def test_as_many_views_are_relit_as_the_protocol_says(demo, known, tmp_path, monkeypatch):

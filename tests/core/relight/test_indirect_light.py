@@ -10,6 +10,7 @@ from irgspp.core.relight.indirect_light import SecondaryRays, SecondaryScene, Sh
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.sample_counts import SampleCounts
 from irgspp.core.relight.visibility_cache import VisibilityCache
+from irgspp.core.shading.brdf import ggx_alpha, irgs_lobe, specular_lobe
 from irgspp.core.shading.environment_lookup import lookup, rotate
 from irgspp.core.shading.procedural_lights import studio_light
 from irgspp.core.shading.rendering_equation import reflect_light
@@ -26,9 +27,9 @@ def light():
     return prepare_light(studio_light(40, 80) * np.linspace(0.5, 1.5, 80, dtype=np.float32)[None, :, None])
 
 
-def points_of(surface) -> tuple[ShadingPoints, torch.Tensor]:
+def points_of(surface, brdf="principled") -> tuple[ShadingPoints, torch.Tensor]:
     """A view's points and the shifts of their samples."""
-    points = ShadingPoints.from_roughness(surface.origin, surface.view, surface.normal, surface.roughness)
+    points = ShadingPoints.from_roughness(surface.origin, surface.view, surface.normal, surface.roughness, brdf)
     return points, torch.rand(len(surface.index), 2, generator=torch.Generator().manual_seed(0))
 
 
@@ -37,8 +38,45 @@ def drawn(surface, counts, light, **how) -> Samples:
     return Samples(samples.direction, samples.density * sum(counts))
 
 
-def traced(one, surface, samples, scale=SCALE, transfer=None) -> SecondaryRays:
-    return trace_samples(SecondaryScene(one.query, scale, True, transfer), points_of(surface)[0], samples)
+def traced(one, surface, samples, scale=SCALE, transfer=None, brdf="principled") -> SecondaryRays:
+    return trace_samples(SecondaryScene(one.query, scale, True, transfer, brdf=brdf), points_of(surface, brdf)[0], samples)
+
+
+@pytest.mark.parametrize("brdf", ["principled", "irgs"])
+@pytest.mark.parametrize("roughness", [0.03, 0.2, 0.7])
+def test_terms_of_rays_are_the_brdf_in_double(relighter, camera, light, brdf, roughness):
+    one = relighter("mesh", (0.6, 0.4, 0.2, roughness, 0.0))
+    surface = one.surface(camera)
+    samples = drawn(surface, COUNTS, light)
+    terms = traced(one, surface, samples, brdf=brdf).terms[..., 2:5].double()
+    points = points_of(surface, brdf)[0]
+    at = (points.view.double(), points.normal.double())
+    sharp = surface.roughness.double()
+    if brdf == "irgs":
+        n_l, value, power = irgs_lobe(*at, sharp, samples.direction.double())
+    else:
+        n_l, value, power = specular_lobe(*at, ggx_alpha(sharp), samples.direction.double())
+    expected = torch.stack([n_l, value * (1 - power) * n_l, value * power * n_l], -1).masked_fill((n_l <= 0)[..., None], 0)
+    error = (terms - expected).abs() / expected.abs().clamp_min(1e-3 * expected.abs().amax((0, 1)))
+    assert error.quantile(0.999) < 5e-3 and error.mean() < 2e-4 and (expected[..., 1] > 0).any()
+
+
+@pytest.mark.parametrize("roughness", [0.03, 0.4])
+def test_light_samples_of_irgs_and_the_others_come_to_what_reflect_light_estimates(relighter, camera, light, roughness):
+    one = relighter("mesh", (0.6, 0.4, 0.2, roughness, 0.0), ((np.zeros(3), 1.0),))
+    surface = one.surface(camera)
+    many = SampleCounts(*(8 * n for n in COUNTS))
+    points, shift = points_of(surface, "irgs")
+    sums = gather(traced(one, surface, drawn(surface, many._replace(light=0), light), None, brdf="irgs"), light, many.light)
+    add_light_samples(sums, points, shift, many, light, VisibilityCache.unknown(len(shift)), one.query)
+    samples = draw(surface.view, surface.normal, surface.roughness, many, light.distribution, shift)
+    incoming, white = lookup(light.radiance, samples.direction.view(-1, 3)).view_as(samples.direction), torch.ones(len(shift), 3)
+    diffuse, specular = reflect_light(
+        surface.view, surface.normal, white, surface.roughness, torch.zeros(len(shift)), samples, incoming, brdf="irgs"
+    )
+    irradiance, f0_term, fresnel_term, _ = sums.sum(1).view(-1, 4, 3).unbind(1)
+    torch.testing.assert_close((irradiance / torch.pi).mean(0), diffuse.mean(0), rtol=0.02, atol=0)
+    torch.testing.assert_close((0.04 * f0_term + fresnel_term).mean(0), specular.mean(0), rtol=0.03, atol=0)
 
 
 @pytest.mark.parametrize("backend", ["mesh", "gaussian"])

@@ -79,21 +79,22 @@ def test_samples_for_an_error_count_lamps(relighter, camera):
     assert (image - many.relit(many.surface(camera), STUDIO, [OVERHEAD])).abs().mean() < 0.01
 
 
+@pytest.mark.parametrize("brdf", ["principled", "irgs"])
 @pytest.mark.parametrize("roughness", [0.05, 0.3, 0.9])
-def test_few_samples_have_the_mean_of_many(roughness):
+def test_few_samples_have_the_mean_of_many(roughness, brdf):
     """The mixture of lamp and visible-normal samples is unbiased, for mirrors under a large lamp too, in single and double precision."""
     count = 4000
     normal, view = (
         torch.nn.functional.normalize(torch.tensor(v, dtype=torch.float64), dim=0).expand(count, 3)
         for v in ((0.1, -0.2, 1.0), (0.3, -0.6, 0.8))
     )
-    points = ShadingPoints.from_roughness(torch.zeros_like(view), view, normal, torch.full((count,), roughness).double())
-    single = ShadingPoints(*(t.float() for t in vars(points).values()))
+    points = ShadingPoints.from_roughness(torch.zeros_like(view), view, normal, torch.full((count,), roughness).double(), brdf)
+    single = ShadingPoints(*(t.float() for t in points.tensors), brdf)
     shift = torch.rand(count, 2, generator=torch.Generator().manual_seed(0)).double()
     lamp = Lamp("area", (1, 0, 0, 0.2, 0, 0.8, -0.6, 0.9, 0, 0.6, 0.8, 1.5, 0, 0, 0, 1), (2.0, 3.0, 4.0), size=(1.5, 1.0))
     few = lamp_sums(points, [lamp], shift, 4, FREE).sum(1)
     few_single = lamp_sums(single, [lamp], shift.float(), 4, FREE).sum(1)
-    many = lamp_sums(ShadingPoints(*(t[:1] for t in vars(points).values())), [lamp], shift[:1], 1 << 16, FREE).sum(1)[0]
+    many = lamp_sums(ShadingPoints(*(t[:1] for t in points.tensors), brdf), [lamp], shift[:1], 1 << 16, FREE).sum(1)[0]
     assert torch.allclose(few_single.double().mean(0), few.mean(0), rtol=1e-3, atol=1e-4)
     error = few.std(0) / count**0.5
     assert ((few.mean(0) - many).abs() < 4 * error + 2e-3 * many.abs().max()).all()

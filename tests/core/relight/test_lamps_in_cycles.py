@@ -99,7 +99,7 @@ def both(known, lamp, bounces, sphere, square):
     theirs = known.cycles.render(view, sphere, square, bounces, SAMPLES)[inner][:, :3]
     query = MeshQuery(mesh_of(module, sphere, square), 1.0)
     gaussians = SimpleNamespace(opacity=torch.zeros(1), log_scale=torch.zeros(2, 1), materials=lambda: torch.zeros(5, 1))
-    reconstruction = SimpleNamespace(gaussians=gaussians, environment=torch.zeros(1))
+    reconstruction = SimpleNamespace(gaussians=gaussians, environment=torch.zeros(1), brdf="principled")
     settings = RelightSettings(samples=SAMPLES, denoise="off", indirect=bounces > 0)
     relighter = Relighter(reconstruction, query, settings)  # type: ignore[arg-type]
     surface = exact_surface(module, view, inner, query, sphere, square)

@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.errors import InputError
 from irgspp.core.relight import primary_hits
 from irgspp.core.relight import relighter as module
 from irgspp.core.relight.prepared_light import prepare_light
@@ -284,3 +285,53 @@ def test_tall_images_are_rasterised_in_bands(relighter, camera, monkeypatch):
     assert torch.equal(whole.index, parts.index)
     assert torch.allclose(whole.normal, parts.normal, atol=1e-5)
     assert torch.allclose(whole.coverage, parts.coverage, atol=1e-5)
+
+
+def of_irgs(one, **settings) -> Relighter:
+    """The same relighter for materials of IRGS' BRDF."""
+    scene = dataclasses.replace(one.reconstruction, brdf="irgs")
+    return Relighter(scene, one.query, dataclasses.replace(one.settings, **settings), one.mesh)
+
+
+@pytest.mark.parametrize("backend", BACKENDS)
+@pytest.mark.parametrize("roughness", [0.2, 0.8])
+def test_white_furnace_of_irgs(relighter, camera, backend, roughness):
+    """A convex body reflects its whole albedo plus the directional albedo of IRGS' lobe, whatever its metallic says."""
+    one = of_irgs(relighter(backend, (0.5, 0.4, 0.3, roughness, 0.7), BALL, samples=256))
+    surface, seen, solid = pixels(one, camera)
+    facing = (surface.normal * surface.view).sum(-1)[solid].clamp_min(1e-3)
+    lobe = specular_albedo(facing, surface.roughness[solid], torch.full((int(solid.sum()), 3), 0.04), "irgs")
+    error = (seen - surface.albedo[solid] - lobe).abs()[facing > 0.3]
+    assert error.mean() < 0.01 and error.quantile(0.99) < 0.05 and not surface.metallic.any()
+
+
+def test_materials_are_relit_by_the_brdf_they_were_fitted_with_unless_another_is_asked_for(relighter, camera):
+    light = prepare_light(studio_light(32, 64))
+    ours = relighter("mesh", (0.6, 0.4, 0.2, 0.5, 0.3), indirect=True)
+    images = {}
+    for name, one in {
+        "principled": ours,
+        "irgs": of_irgs(ours),
+        "asked": Relighter(ours.reconstruction, ours.query, dataclasses.replace(ours.settings, brdf="irgs"), ours.mesh),
+        "asked back": of_irgs(ours, brdf="principled"),
+    }.items():
+        images[name] = one.relit(one.surface(camera), light)
+    assert torch.equal(images["irgs"], images["asked"]) and torch.equal(images["principled"], images["asked back"])
+    assert (images["irgs"] - images["principled"]).abs().max() > 0.02
+
+
+def test_surfaces_that_rays_meet_have_the_brdf_too(relighter, camera):
+    """Two balls of metal: without metal, the light that one casts on the other changes."""
+    light = prepare_light(studio_light(32, 64))
+    own = {}
+    for name, brdf in (("irgs", None), ("principled", "principled")):
+        lit, dark = (of_irgs(relighter("mesh", (0.6, 0.4, 0.2, 0.5, 1.0), indirect=i, denoise="off"), brdf=brdf) for i in (True, False))
+        own[name] = lit.relit(lit.surface(camera), light) - dark.relit(dark.surface(camera), light)
+    assert own["irgs"].max() > 0.005 and (own["irgs"] - own["principled"]).abs().max() > 0.002
+
+
+def test_irgs_has_no_conserving_diffuse_lobe(relighter):
+    with pytest.raises(InputError, match=r"--diffuse: conserving is of the principled BRDF.*--brdf principled"):
+        of_irgs(relighter("mesh"), conserving=True)
+    assert of_irgs(relighter("mesh"), conserving=True, brdf="principled").conserving
+    assert not of_irgs(relighter("mesh")).conserving and relighter("mesh").conserving

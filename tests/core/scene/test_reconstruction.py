@@ -136,3 +136,23 @@ def test_reflections_round_trip(tmp_path):
     Reflections(torch.from_numpy(GOOD[0]), torch.from_numpy(GOOD[1])).save(path)
     loaded = Reflections.load(path, 20)
     assert np.array_equal(loaded.material, GOOD[0]) and np.array_equal(loaded.environment, GOOD[1])
+
+
+def test_the_brdf_of_the_materials_is_kept(tmp_path):
+    given = replace(make(), brdf="irgs")
+    given.save(tmp_path)
+    loaded = Reconstruction.load(tmp_path)
+    assert loaded.brdf == loaded.to("cpu").brdf == loaded.relabelled(given.gaussians.material, given.environment).brdf == "irgs"
+
+
+def test_runs_of_earlier_versions_have_the_principled_brdf_and_unknown_ones_are_refused(tmp_path):
+    make().save(tmp_path)
+    path = tmp_path / "reconstruction.json"
+    about = json.loads(path.read_text())
+    assert about.pop("brdf") == "principled"
+    path.write_text(json.dumps(about))
+    assert Reconstruction.load(tmp_path).brdf == "principled"
+    for other in ("disney", 3, ["irgs"], None):
+        path.write_text(json.dumps({**about, "brdf": other}))
+        with pytest.raises(InputError, match=r"reconstruction\.json: its materials belong to the BRDF .*principled, irgs"):
+            Reconstruction.load(tmp_path)

@@ -117,3 +117,42 @@ def test_white_metal_never_gives_more_than_it_got(roughness, n_v):
     albedo = weight.sum().item() / count
     assert albedo <= 1 + 1e-9
     assert albedo > {0.1: 0.95, 0.5: 0.8, 1.0: 0.3}[roughness]
+
+
+def irgs_specular(roughness, light, view):
+    """The specular part of IRGS' BRDF for one direction, written out."""
+    half = [a + b for a, b in zip(light, view, strict=True)]
+    half = [c / math.hypot(*half) for c in half]
+    v_h, k = sum(a * b for a, b in zip(half, view, strict=True)), (roughness + 1) ** 2 / 8
+    fresnel = 0.04 + 0.96 * 2 ** ((-5.55473 * v_h - 6.98316) * v_h)
+    peak = half[2] ** 2 * (roughness**4 - 1) + 1
+    masks = (view[2] * (1 - k) + k) * (light[2] * (1 - k) + k)
+    return fresnel * roughness**4 / min(max(4 * math.pi * peak**2 * masks, 1e-6), 4 * math.pi)
+
+
+@pytest.mark.parametrize("roughness", [0.02, 0.1, 0.4, 1.0])
+@pytest.mark.parametrize("light", [(-0.48, 0.0, 0.877), (0.2, 0.6, 0.775), (0.0, -0.99, 0.141)])
+def test_irgs_lobe_is_the_published_formula(roughness, light):
+    light, view = (torch.nn.functional.normalize(tensor(*v), dim=0) for v in (light, (0.48, 0.0, 0.877)))
+    n_l, value, power = brdf.irgs_lobe(view[None], tensor(0, 0, 1)[None], tensor(roughness), light[None, None])
+    assert float(n_l) == pytest.approx(float(light[2]))
+    found = float((brdf.DIELECTRIC_F0 + (1 - brdf.DIELECTRIC_F0) * power) * value)
+    assert found == pytest.approx(irgs_specular(roughness, light.tolist(), view.tolist()), rel=1e-9)
+    below = brdf.irgs_lobe(view[None], tensor(0, 0, 1)[None], tensor(roughness), -light[None, None])
+    assert float(below[0]) < 0 and float(below[1]) == 0
+
+
+@pytest.mark.parametrize(("roughness", "peak"), [(0.1, 4.0), (0.05, 0.25), (0.5, 0.04 / (4 * math.pi * 0.5**4))])
+def test_irgs_caps_sharp_lobes(roughness, peak):
+    up = tensor(0, 0, 1)[None]
+    _, value, power = brdf.irgs_lobe(up, up, tensor(roughness), up[None])
+    assert float((0.04 + 0.96 * power) * value) == pytest.approx(peak, rel=1e-2)
+
+
+@pytest.mark.parametrize("roughness", [0.3, 0.6, 0.9])
+def test_irgs_lobe_agrees_with_ours_up_to_the_masking(roughness):
+    mirror = torch.nn.functional.normalize(tensor(0.5, 0.0, 1.0), dim=0)
+    view, up = mirror * tensor(-1, 1, 1), tensor(0, 0, 1)
+    ours = brdf.specular_lobe(view[None], up[None], brdf.ggx_alpha(tensor(roughness)), mirror[None, None])[1]
+    irgs = brdf.irgs_lobe(view[None], up[None], tensor(roughness), mirror[None, None])[1]
+    assert float(irgs) == pytest.approx(float(ours), rel=0.25)

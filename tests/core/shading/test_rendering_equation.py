@@ -5,6 +5,7 @@ import math
 
 import pytest
 import torch
+from irgspp.core.shading.brdf import irgs_lobe
 from irgspp.core.shading.environment_lookup import lookup, texel_directions
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import LightDistribution, Samples, draw, orthonormal_basis
@@ -246,3 +247,20 @@ def test_extremes_stay_finite():
         parts = reflect_light(view, *leaves[:4], Samples(direction, torch.full((6, 6), 1e-3)), leaves[4])
         torch.stack(parts).sum().backward()
         assert all(torch.isfinite(t).all() for t in (*parts, *(leaf.grad for leaf in leaves)))
+
+
+def test_irgs_has_a_full_diffuse_lobe_and_no_metal():
+    up = torch.tensor([[0.0, 0.0, 1.0]], dtype=torch.float64)
+    slanted = torch.nn.functional.normalize(torch.tensor([[[1.0, 0.0, 1.0]]], dtype=torch.float64), dim=-1)
+    samples, incoming = Samples(slanted, torch.ones(1, 1).double()), torch.ones(1, 1, 3).double()
+    surface = (torch.full((1, 3), 0.6).double(), torch.tensor([0.7]).double())
+    results = [reflect_light(up, up, *surface, torch.tensor([m]).double(), samples, incoming, brdf="irgs") for m in (0.0, 1.0)]
+    n_l, value, power = irgs_lobe(up, up, surface[1], slanted)
+    for diffuse, specular in results:
+        assert torch.allclose(diffuse, n_l * 0.6 / math.pi) and torch.allclose(specular, n_l * value * (0.04 + 0.96 * power))
+
+
+def test_gradients_of_irgs_in_double_against_finite_differences():
+    *inputs, samples, incoming = small_problem()
+    leaves = [t.requires_grad_() for t in (*inputs, incoming)]
+    assert torch.autograd.gradcheck(lambda *t: reflect_light(*t[:5], samples, t[5], brdf="irgs"), leaves, atol=1e-6, rtol=1e-4)

@@ -66,6 +66,20 @@ def test_table_is_the_integral_of_the_brdf(roughness, n_v):
     assert found[0, 0].item() == pytest.approx(expected.item(), rel=0.02)
 
 
+@pytest.mark.parametrize(("roughness", "n_v"), [(0.2, 0.9), (0.5, 0.5), (1.0, 0.8)])
+def test_table_of_irgs_is_the_integral_of_its_lobe(roughness, n_v):
+    steps, f64 = 600, torch.float64
+    theta = (torch.arange(steps, dtype=f64) + 0.5) * (math.pi / 2 / steps)
+    phi = (torch.arange(steps, dtype=f64) + 0.5) * (2 * math.pi / steps)
+    theta, phi = torch.meshgrid(theta, phi, indexing="ij")
+    light = torch.stack([theta.sin() * phi.cos(), theta.sin() * phi.sin(), theta.cos()], -1).view(1, -1, 3)
+    view, up = torch.tensor([[math.sqrt(1 - n_v**2), 0, n_v]], dtype=f64), torch.tensor([[0, 0, 1]], dtype=f64)
+    n_l, value, power = brdf.irgs_lobe(view, up, torch.tensor([roughness], dtype=f64), light)
+    expected = ((0.04 + 0.96 * power) * value * n_l * theta.sin().flatten()).sum() * (math.pi / 2 / steps) * (2 * math.pi / steps)
+    found = split_sum.specular_albedo(torch.tensor([n_v]), torch.tensor([roughness]), torch.full((1, 3), 0.04), "irgs")
+    assert found[0, 0].item() == pytest.approx(expected.item(), rel=0.02)
+
+
 def test_gradients_reach_light_normal_and_materials():
     light = smooth_light(16, 32).requires_grad_()
     normal = torch.nn.functional.normalize(torch.randn(20, 3, generator=torch.Generator().manual_seed(1)), dim=-1).requires_grad_()

@@ -6,6 +6,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 
 import torch
 
@@ -14,10 +15,11 @@ from ....progress.protocol import Checkpoint, Progress
 from ....scene.dataset import Dataset, View, light_rotations
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import Settings
+from ....shading.rendering_equation import reflect_light
 from ...common.optimizer import Rate
 from ...common.preview import albedo_image
 from ...common.time_budget import joint_schedule_scale, scale_schedule
-from .irgs import irgs_start, reflect_as_irgs
+from .irgs import irgs_start
 from .losses import GLOSSY_WEIGHTS, LOW_GLOSS_WEIGHTS
 from .model import JointModel
 from .optimisation import PUBLISHED_RATE_FACTOR, JointOptimisation
@@ -129,7 +131,7 @@ def _optimised(
     near = dataset.surroundings if second.surroundings and second.indirect else None
     model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
     if second.brdf == "irgs":
-        start, model = irgs_start(start), replace(model, reflect=reflect_as_irgs)
+        start, model = irgs_start(start), replace(model, reflect=partial(reflect_light, brdf="irgs"))
     weights, factor = GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, PUBLISHED_RATE_FACTOR
     if refining:
         smooth = REFINING_SMOOTHNESS

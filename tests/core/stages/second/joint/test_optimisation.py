@@ -122,6 +122,7 @@ def test_the_baseline_has_no_metal_and_starts_with_constants(start, dataset):
     assert torch.allclose(fresh.gaussians.materials().mean(1), torch.tensor([0.3, 0.3, 0.3, 0.6, 0.0]), atol=1e-4)
     assert (fresh.environment == 1.5).all()
     result, _ = optimise_jointly(start, dataset, settings, Listener())
+    assert result.brdf == "irgs" and optimise_jointly(start, dataset, SETTINGS, Listener(finish_at=1))[0].brdf == "principled"
     albedo, roughness, metallic = result.gaussians.materials().split([3, 1, 1])
     assert metallic.max() < 1e-4 and 0 < (albedo - 0.3).abs().max() < 0.05 and 0 < (roughness - 0.6).abs().max() < 0.05
 
