@@ -106,7 +106,7 @@ class Bench:
         """
         expected = seconds or {"draft": 48.0}.get(preset, 120.0)
         if self.quick:
-            options, expected = (*QUICK, *options), 9.0
+            options, expected = (*options, *QUICK), 9.0
         return RunPlan(label, preset, options, materials, time, expected)
 
     @property
@@ -191,6 +191,7 @@ QUICK = (
     "first.gaussians=6000",
     "first.trial_iterations=30",
     "first.trial_gaussians=2000",
+    "second.joint_iterations=40",
     "second.points=500",
     "second.iterations=40",
     "second.samples=32",

@@ -6,7 +6,7 @@ from __future__ import annotations
 import itertools
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from irgspp.core.evaluation import metrics
@@ -36,6 +36,7 @@ class RelightVariant:
         sampling: "mis", or "stratified" for comparison.
         indirect: indirect light.
         error: error that decides on the number of samples; None: a fixed number.
+        others: further fields of `RelightSettings` and their values.
     """
 
     backend: Backend = "mesh"
@@ -43,6 +44,7 @@ class RelightVariant:
     sampling: Literal["mis", "stratified"] = "mis"
     indirect: bool = True
     error: float | None = None
+    others: tuple[tuple[str, Any], ...] = ()
 
 
 @dataclass(frozen=True, eq=False)
@@ -88,7 +90,8 @@ class Studio:
             skip: rules that skip work; None: the defaults.
         """
         rules = skip or SkipSettings()
-        settings = RelightSettings(samples, variant.sampling, variant.denoise, variant.indirect, skip=rules, error=variant.error)
+        chosen = {"skip": rules, "error": variant.error, **dict(variant.others)}
+        settings = RelightSettings(samples, variant.sampling, variant.denoise, variant.indirect, **chosen)
         return open_relighter(self.run, self.reconstruction, variant.backend, settings)
 
     def image(self, variant: RelightVariant, samples: str | int, lit_view: LitView) -> np.ndarray:

@@ -12,6 +12,10 @@ import pytest
 from irgspp.core.cli.parser import parser
 from irgspp.core.errors import InputError, IrgsppError
 from irgspp.core.pipeline import DEMO_DATA
+from irgspp.core.relight.relight_settings import RelightSettings
+from irgspp.core.relight.sample_counts import sample_counts
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
 from scripts_folder import script as script
 
 
@@ -224,3 +228,21 @@ def test_of_the_system_the_report_says_its_version_and_no_more(script, monkeypat
     for library, expected in ((("glibc", "2.41"), "Linux 6.12, glibc 2.41"), (("", ""), "Linux 6.12")):
         monkeypatch.setattr(bench.platform, "libc_ver", lambda library=library: library)
         assert bench.machine()["versions"]["platform"] == expected
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_irgs_is_trained_and_relit_as_its_own_method(script, tmp_path, quick):
+    """Its own BRDF, start and sampling, whatever the object's class; `--quick` shortens it as all others."""
+    bench = script("benchmarks.bench").Bench(tmp_path, script("benchmarks.scenes").demo_scenes(), quick)
+    baseline = script("benchmarks.irgs_baseline")
+    plan = script("benchmarks.reconstruction").plans(bench, bench.scenes[0])[baseline.NAME]
+    settings = with_overrides(preset(plan.preset), plan.options)
+    second = settings.second
+    assert (second.solver, second.brdf, second.geometry_rate, second.sampling) == ("joint", "irgs", 0, "stratified")
+    assert (second.joint_iterations, second.samples) == ((40, 32) if quick else (800, 64))
+    assert plan.materials == "" and settings.materials == "auto"
+    _, variant, samples = script("benchmarks.reconstruction").HEADLINE[baseline.NAME]
+    relight = RelightSettings(samples, variant.sampling, variant.denoise, **dict(variant.others))
+    assert sample_counts(samples, False, relight.allocation) == sample_counts(samples, True, relight.allocation) == (512, 0, 256)
+    assert not relight.transfer and not relight.ratio and relight.brdf is None and variant.backend == "gaussian"
+    assert f"one of {20_000 * 256 / (800 * 64):.0f} rays" in baseline.ABOUT

@@ -95,3 +95,27 @@ def test_what_another_optimiser_does_better_in_the_same_time_is_told(script, tmp
     relit, worse = (block.text for block in script("benchmarks.summary").blocks(kept))
     assert relit.endswith("ball 30.0 and 25.0 dB.")
     assert worse == "Mitsuba's is better in: light dB of ball, 14.00 and 17.00."
+
+
+@pytest.mark.parametrize(("theirs", "factor"), [(29.0, 8.0), (30.0, 8.0), (30.1, None)])
+def test_irgs_rate_is_compared_at_equal_or_better_quality(script, shown, tmp_path, theirs, factor):
+    way = {"relight_ssim": 0.9, "turned_seconds": 1.0, "train_seconds": 60.0}
+    records = {
+        "headline, IRGS with its BRDF": {**way, "relight_psnr": theirs, "frame_seconds": 2.0},
+        "headline, IRGS++ efficient": {**way, "relight_psnr": 30.0, "frame_seconds": 0.25},
+        "balanced": {"seconds": 100.0, "relight_psnr": 30.0, "cpu_seconds": 1.0, "peak_memory_bytes": 2**30},
+    }
+    blocks = shown("reconstruction", records)
+    table = next(table for table in blocks["Table"] if "headline" in table.title)
+    assert [row[table.columns.index("times as fast ↑")] for row in table.rows] == [1.0, factor]
+    assert any("1,024 pixels" in note.text and "at equal or better quality" in note.text for note in blocks["Note"])
+    store = script("benchmarks.store")
+    kept = store.Store(tmp_path, fresh=True)
+    kept.scenes["ball"] = {}
+    for irgs in (False, True):
+        for configuration, figures in records.items():
+            if irgs or "BRDF" not in configuration:
+                kept.add(store.Record("reconstruction", "ball", configuration, figures=figures))
+        table, *notes = script("benchmarks.summary").blocks(kept)
+        assert ("times IRGS' rate ↑" in table.columns) == irgs == any("equal or better quality" in note.text for note in notes)
+    assert table.rows[0][-1] == factor and len(table.rows[0]) == len(table.columns)
