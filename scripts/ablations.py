@@ -15,6 +15,7 @@ import sys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from ablation import published
 from ablation.relighting import Report, evaluated
 from ablation.variants import FULL, TRAININGS, Training, Variant, relighting_tables
 from irgspp.core.batch.batch import batch_folder, run_batch
@@ -35,6 +36,7 @@ from reproduction.tables import Row, Table, as_html, as_json, as_markdown
 COLUMNS = {
     "relight_psnr": "relit, full frame, dB ↑",
     "relight_psnr_object": "object pixels ↑",
+    "relight_psnr_scaled": "scaled, full frame ↑",
     "relight_ssim": "SSIM ↑",
     "nvs_psnr": "NVS, shaded, dB ↑",
     "nvs_psnr_object": "object pixels ↑",
@@ -59,7 +61,7 @@ def arguments(argv: Sequence[str] | None) -> argparse.Namespace:
 
 
 def table(title: str, rows: list[tuple[str, str, Report]], notes: Sequence[str] = ()) -> Table:
-    """Return a table; the third column is the difference of relit PSNR to the first row.
+    """Return a table with the paper's rows after ours; the third column is the difference of relit PSNR to the full method.
 
     Args:
         title: title of the table.
@@ -72,8 +74,13 @@ def table(title: str, rows: list[tuple[str, str, Report]], notes: Sequence[str] 
         relit = report["figures"].get("relight_psnr")
         difference = "" if first is None or relit is None or report is rows[0][2] else f"{relit - first:+.2f} dB"
         lines.append(Row(label, samples, difference, {key: report["figures"][key] for key in COLUMNS if key in report["figures"]}))
+    theirs = published.ROWS.get(title, [])
+    for one in theirs:
+        difference = "" if one.psnr == one.full else f"{one.psnr - one.full:+.2f} dB"
+        lines.append(Row(f"{one.label} (paper, {one.of})", str(one.samples), difference, {"relight_psnr_scaled": one.psnr}))
     keys = {key for line in lines for key in line.figures}
-    return Table(title, {key: text for key, text in COLUMNS.items() if key in keys}, lines, list(notes), HEADS)
+    columns = {key: text for key, text in COLUMNS.items() if key in keys}
+    return Table(title, columns, lines, [*notes, *([published.NOTE] if theirs else [])], HEADS)
 
 
 def training_job(training: Training, args: argparse.Namespace, out: Path) -> Job:
