@@ -17,9 +17,10 @@ PHOTOGRAPH = 40  # bytes per pixel: colour and alpha, goals of the normals
 PREPARED, MOST_PREPARED = 89, 2 << 30  # bytes per pixel, and at most: training views and G-buffers, which are kept up to a limit
 GAUSSIAN = 4 * 63 * 4 + 500  # bytes: parameters, gradients, two moments; entries in tile lists
 TRACING = 400 * MIB  # hits of MOST_RAYS rays
-TEXEL = 180  # bytes while textures are baked: peaks of 0.9, 1.7 and 3.7 GiB at 1024, 2048 and 4096 texels
-# Bytes while they take detail: candidates and their texels; a decoded photograph, its reductions and maps. Peaks of 1.3, 1.6 and 2.5 GiB.
-DETAIL_TEXEL, DETAIL_PIXEL = 75, 40
+TEXEL = 80  # bytes while textures are baked: peaks of 0.9, 1.1 and 1.9 GiB at 1024, 2048 and 4096 texels
+# Bytes while they take detail: candidates and their texels; a decoded photograph of 12 megapixels, its reductions and maps. Peaks of 1.2,
+# 1.3 and 2.0 GiB with 3 photographs, 2.8 GiB with 24 at 4096 texels.
+DETAIL_TEXEL, DETAIL_PIXEL = 90, 25
 MOST_RAYS, FEWEST_RAYS = 1 << 18, 1 << 14  # traced at once
 USABLE = 0.95  # fraction of the free memory that a job may plan with
 CGROUPS = (("memory.max", "memory.current"), ("memory/memory.limit_in_bytes", "memory/memory.usage_in_bytes"))
@@ -53,7 +54,7 @@ def estimate_memory(settings: Settings, pixels: int, rays: int = MOST_RAYS) -> i
     views = second.points * second.views * texels * 4 * 5  # light rows of each view, and equations of the same size
     points = second.points * 4 * texels * 4 * 6  # incoming radiance of each point from all directions
     stored = pixels * PHOTOGRAPH + min(pixels * PREPARED, MOST_PREPARED) + settings.first.gaussians * GAUSSIAN
-    work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texels**2 * TEXEL)
+    work = max(TRACING * rays // MOST_RAYS + points, points + views, settings.surface.texels**2 * max(TEXEL, DETAIL_TEXEL))
     return LIBRARIES + stored + work
 
 

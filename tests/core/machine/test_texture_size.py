@@ -80,7 +80,7 @@ def test_less_is_chosen_where_something_is_short(
     large, settings = reduced(demo, reduction_for(demo, 1.9e6)), Settings()
     assert choose_texture_size(settings, large, tmp_path).size == 4096
     if lack == "memory":
-        monkeypatch.setattr(texture_size, "free_memory", lambda: FreeMemory(2 << 30, "a test"))
+        monkeypatch.setattr(texture_size, "free_memory", lambda: FreeMemory(1 << 30, "a test"))
     elif lack == "disk":
         monkeypatch.setattr(texture_size, "free_disk_space", lambda run: 600_000_000)
     else:
