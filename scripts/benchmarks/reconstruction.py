@@ -66,7 +66,7 @@ def plans(bench: Bench, scene: Scene) -> dict[str, RunPlan]:
     found["without indirect light"] = bench.plan("no-indirect", "second.indirect=off", seconds=115)
     if scene.glossy:
         found["without reflections"] = bench.plan("no-reflections", materials="low-gloss")
-    found[irgs_baseline.NAME] = bench.plan("irgs", *irgs_baseline.OPTIONS, seconds=600)
+    found[irgs_baseline.NAME] = bench.plan("irgs", *irgs_baseline.OPTIONS, seconds=250)
     return found | {f"{BUDGETED}, {minutes:g} min": _budget(bench, minutes) for minutes in bench.budgets}
 
 
