@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 
 from .assets.blend_file import write_blend
 from .assets.fitted_textures import fitted_textures, texture_line
 from .assets.mesh_files import save_mesh_files
+from .capture.chosen_sphere import chosen_sphere
 from .capture.second_cut import MAX_CUTS, cut_again, edges_settled, support_plane_of
-from .capture.source import FOLDER as CAPTURE
 from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
@@ -31,7 +32,7 @@ from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
 from .relight.relight_settings import RelightSettings
 from .rendering.gbuffer_cache import GBufferCache
-from .run_folder import RunFolder, check_claim, read_run
+from .run_folder import CAPTURE, RunFolder, check_claim, read_run
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .scene.reconstruction import Reconstruction
@@ -54,6 +55,7 @@ from .surface.meshing import Triangles
 from .surface.texturing import textured_mesh
 from .surface.unwrap_process import UnwrapProcess
 
+SPHERE_FIX = "cut a capture out again by irgspp capture DATASET --sphere; of other datasets set data.centre, data.radius"
 COMPILING = "compiles kernels for this processor, once per version"
 
 
@@ -83,9 +85,14 @@ def reconstruct(
     reset_peak_memory()
     bare = needs_capture(dataset)
     check_textures(run, settings)  # before photographs are read or captured, which takes minutes
-    size = _recorded_size(run) if resume else None
-    ready = None if bare else _read(dataset, run, settings, chosen, watcher, size)  # bad input is refused before anything is written
-    folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite)
+    recorded = _recorded_size(run) if resume else None
+    ready = None if bare else _read(dataset, run, settings, chosen, watcher, recorded)  # bad input is refused before anything is written
+    if bare:
+        chosen_sphere(settings.capture)
+    elif settings.capture.centre is not None or settings.capture.radius is not None:
+        raise InputError("capture.centre, capture.radius", "are for photographs without cameras, which this dataset has", SPHERE_FIX)
+    recut = partial(_recut, dataset, run, settings, watcher)
+    folder = RunFolder.open(run, settings, str(dataset.resolve()), resume=resume, overwrite=overwrite, recut=recut)
     settings = paced(settings)
     try:
         with folder.job():
@@ -93,7 +100,7 @@ def reconstruct(
             recorder, earlier = ProgressRecorder(folder, watcher), folder.spent
             if bare:
                 _capture(dataset, folder, settings, recorder)
-            data, memory, size = ready or _read(run / CAPTURE, run, settings, chosen, recorder, size)
+            data, memory, size = ready or _read(run / CAPTURE, run, settings, chosen, recorder, _recorded_size(run))
             folder.state.setdefault("textures", {"size": size.size, "why": size.why})
             recorder.message(size.line())
             plain = min(settings.surface.texels, size.size)
@@ -124,6 +131,14 @@ def _keep_time(settings: Settings, data: Dataset, seconds: float, progress: Prog
         progress.message(f"the time of this job is not kept for later estimates: {error}")
 
 
+def _recut(photographs: Path, run: Path, settings: Settings, progress: Progress) -> None:
+    """Cut the object of a captured run out again by another sphere; the poses are kept."""
+    from .capture.capture import capture
+
+    if (run / CAPTURE).exists():  # else the run was stopped before it
+        capture(photographs, run / CAPTURE, settings.capture, settings.seed, progress)
+
+
 def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress: ProgressRecorder) -> None:
     """Run the phase that captures photographs without cameras into the run folder."""
     from .capture.capture import capture  # COLMAP and the readers of videos and raw images, which other jobs do without
@@ -149,7 +164,7 @@ def check_textures(run: Path, settings: Settings) -> None:
 
 
 def _recorded_size(run: Path) -> TextureSize | None:
-    """Return the texture size that the first start of a run chose, which may have had more memory; None where it recorded none."""
+    """Return the texture size that an earlier start of a run chose, which may have had more memory; None where run.json has none."""
     textures = read_run(run).get("textures") if (run / "run.json").is_file() else None
     return TextureSize(textures["size"], textures["why"]) if textures else None
 

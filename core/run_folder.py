@@ -8,7 +8,7 @@ import os
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -27,8 +27,10 @@ from .settings.schema import Settings
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
 RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
-FOLDERS = ("capture", "checkpoint", "textures", "evaluation", "photographs", "previews")
+CAPTURE = "capture"  # folder of the captured dataset, where photographs came without cameras
+FOLDERS = (CAPTURE, "checkpoint", "textures", "evaluation", "photographs", "previews")
 LOGS = ("events.jsonl", "log.txt", "cancel", "finish")
+SPHERE = ("capture.centre", "capture.radius")  # settings that may change when a run is resumed: the object is then cut out again
 LOCK = ".lock"
 OLD_CHECKPOINT, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now
 UNSTARTED = (LOCK, ".run.part.json")  # all files of a run that was killed before it wrote run.json
@@ -63,8 +65,9 @@ class RunFolder(EventLog):
 
     Attributes:
         state: content of run.json: status ("running", "done", "failed", "cancelled"), error, replaces (True while files of the
-            previous run are being removed), versions, dataset, settings, seed, computed_on {device, why}, phases {name: {seconds,
-            peak_memory, finished}}, skipped [{what, why}], rules {name: {on, evidence}}, pace {stage: schedule scale, as a multiple
+            previous run are being removed), recut (the same while its capture is kept), versions, dataset, settings, seed,
+            computed_on {device, why}, phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}],
+            rules {name: {on, evidence}}, pace {stage: schedule scale, as a multiple
             of the settings' schedule}, training {metric: value}.
     """
 
@@ -73,8 +76,19 @@ class RunFolder(EventLog):
         self.state, self._lock = state, lock
 
     @classmethod
-    def open(cls, path: Path, settings: Settings, dataset: str, *, resume: bool = False, overwrite: bool = False) -> RunFolder:
+    def open(
+        cls,
+        path: Path,
+        settings: Settings,
+        dataset: str,
+        *,
+        resume: bool = False,
+        overwrite: bool = False,
+        recut: Callable[[], object] | None = None,
+    ) -> RunFolder:
         """Make a run folder, or open one to resume or replace its run.
+
+        A run that is resumed with another sphere about the object (SPHERE) begins anew with its capture.
 
         Args:
             path: run folder.
@@ -82,6 +96,7 @@ class RunFolder(EventLog):
             dataset: path of the dataset as run.json records it.
             resume: continue the run in the folder.
             overwrite: replace the run in the folder; none of its files is left afterwards.
+            recut: cuts the object out again where the sphere is another one; if it raises, the run stays as it was.
 
         Raises:
             InputError: `check_claim` refuses the folder, another process uses it, or its run had other settings or another dataset.
@@ -95,7 +110,10 @@ class RunFolder(EventLog):
         except OSError as error:
             raise InputError(path, f"is not writable ({error.strerror})") from error
         try:
-            return cls(path, _state(path, settings, dataset, resume, overwrite), lock)._started()
+            state = _state(path, settings, dataset, resume, overwrite)
+            if state.get("recut") and recut is not None:
+                recut()
+            return cls(path, state, lock)._started()
         except BaseException:
             lock.release()
             raise
@@ -103,10 +121,11 @@ class RunFolder(EventLog):
     def _started(self) -> RunFolder:
         self.state.update(status="running", error=None)
         self.write()  # before anything else: only with run.json the folder counts as a run folder
-        if self.state.get("replaces"):
-            clear(self.path)
-            del self.state["replaces"]
-            self.write()
+        for name, kept in (("replaces", ()), ("recut", (CAPTURE,))):
+            if self.state.get(name):
+                clear(self.path, kept)
+                del self.state[name]
+                self.write()
         for name in ("cancel", "finish"):
             (self.path / name).unlink(missing_ok=True)
         (self.path / "checkpoint").mkdir(exist_ok=True)
@@ -249,9 +268,13 @@ def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite
     exists = (path / "run.json").is_file()
     if exists and resume:
         return _resumed(path, settings, dataset)
+    return {**_new(settings, dataset), **({"replaces": True} if exists else {})}
+
+
+def _new(settings: Settings, dataset: str) -> dict[str, Any]:
+    """Return the state of a run that has not begun."""
     return {
         "status": "running",
-        **({"replaces": True} if exists else {}),
         "error": None,
         "versions": versions(),
         "dataset": dataset,
@@ -266,12 +289,15 @@ def _state(path: Path, settings: Settings, dataset: str, resume: bool, overwrite
 
 def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
     state = read_run(path)
-    other = differences(from_dict(state["settings"], path / "run.json"), settings)
+    changed = differences(from_dict(state["settings"], path / "run.json"), settings)
+    other = [line for line in changed if line.partition(":")[0] not in SPHERE]
     before = str(state.get("dataset"))
     if before != dataset and (Path(before).exists() or Path(before).name != Path(dataset).name):
         other.append(f"dataset: {before} -> {dataset}")
     if other:
         raise InputError(path, f"was started with other options ({'; '.join(other)})", "give --resume the same options or none")
+    if changed:
+        return {**_new(settings, dataset), "recut": True}
     state["dataset"] = dataset  # a project that was moved as a whole has it at another place
     old = path / "checkpoint" / OLD_CHECKPOINT
     if old.is_file():
@@ -279,10 +305,16 @@ def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
     return state
 
 
-def clear(path: Path) -> None:
-    """Remove a run's own files from its folder and nothing else; run.json stays, since it marks the folder as a run folder."""
+def clear(path: Path, kept: Sequence[str] = ()) -> None:
+    """Remove a run's own files from its folder and nothing else; run.json stays, since it marks the folder as a run folder.
+
+    Args:
+        path: run folder.
+        kept: folders that stay, too.
+    """
     for name in FOLDERS:
-        shutil.rmtree(path / name, ignore_errors=True)
+        if name not in kept:
+            shutil.rmtree(path / name, ignore_errors=True)
     for name in (*RESULTS, *LOGS):
         (path / name).unlink(missing_ok=True)
 

@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Capture of bare photographs or a video: cameras, undistorted images, masks, exposure gains and true size, as a dataset folder."""
+"""Capture of bare photographs or a video: cameras, undistorted images, masks, exposure gains and true size, as a dataset folder.
+
+A person's sphere may choose the object. Cameras and the frame of the dataset are then those of the capture without it.
+"""
 
 from __future__ import annotations
 
 import dataclasses
+import json
 import shutil
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -19,8 +24,10 @@ from ..progress.protocol import Progress, Silent
 from ..scene.dataset import Bound, PointCloud
 from ..scene.surroundings import save_surroundings
 from ..settings.schema import CaptureSettings
+from .captured_frame import CapturedFrame, load_frame
+from .chosen_sphere import check_sphere, chosen_sphere, other_things
 from .dataset_files import write_json, write_masks, write_model, write_transforms
-from .description import CaptureResult, describe
+from .description import CaptureResult, describe, with_object_shown
 from .exposures import exposure_gains
 from .marker import find_marker_scale
 from .near_surfaces import near_surfaces
@@ -28,6 +35,7 @@ from .object_masks import ObjectMasks, cut_out
 from .photograph import LeftOut
 from .poses import find_poses
 from .reading import read_photographs
+from .recapture import captured_settings
 from .report import write_contact_sheet, write_page
 from .sparse_model import SparseModel
 from .static_background import SeenBackground, light_rotations
@@ -36,10 +44,14 @@ from .undistortion import UndistortedImage, undistort_photographs
 from .upright import world_similarity
 
 LOCK = ".lock"
+EDITED = "edited_masks"  # copies of masks that were edited before the object was cut out again
 
 
 def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0, progress: Progress | None = None) -> Path:
     """Capture photographs into a dataset folder, and return the folder; an interrupted capture goes on, a finished one is kept.
+
+    Where a finished capture differs in the person's sphere alone, only the object is cut out again, and the dataset stays as it was until
+    that has succeeded.
 
     Args:
         source: folder of photographs and videos, or a video; it is never changed.
@@ -49,18 +61,24 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
         progress: receives the progress and may cancel; None for neither.
 
     Raises:
-        InputError: if there are too few usable photographs, they don't overlap, or the folder holds something else.
+        InputError: if there are too few usable photographs, they don't overlap, the person's sphere can't be the object's, or the folder
+            holds something else.
         Cancelled: if the user stopped the work.
     """
     watcher = progress or Silent()
-    inputs = {"source": str(source.resolve()), "settings": dataclasses.asdict(settings), "seed": seed}
+    chosen_sphere(settings)
+    inputs = _inputs(source, settings, seed)
     new, lock = not folder.exists(), _claim(folder)
     try:
         before = load_capture(folder / FILE) if (folder / FILE).exists() else {}
-        if before.get("status") == "done" and before.get("inputs") == inputs:
+        finished = _finished(before, inputs, folder / FILE)
+        if finished == "same":
             watcher.message(f"capture: finished before, in {folder}")
             return folder
-        write_json(folder / FILE, {"format": FORMAT, "status": "running", "inputs": inputs})
+        if before.get("status") == "done":
+            _keep_edited_masks(folder, watcher)
+        if finished != "other sphere":
+            write_json(folder / FILE, _running(inputs))
         _capture(source, folder, settings, seed, watcher, inputs)
     except InputError:
         if new:  # what can't be captured leaves nothing behind
@@ -69,6 +87,37 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
     finally:
         lock.release()
     return folder
+
+
+def _inputs(source: Path, settings: CaptureSettings, seed: int) -> dict[str, Any]:
+    """Return everything that the result depends on, as plain values."""
+    return {"source": str(source.resolve()), "settings": _plain(settings), "seed": seed}
+
+
+def _plain(settings: CaptureSettings) -> dict[str, Any]:
+    """Return settings as they are read back from a JSON file."""
+    return json.loads(json.dumps(dataclasses.asdict(settings)))
+
+
+def _running(inputs: dict[str, Any]) -> dict[str, Any]:
+    return {"format": FORMAT, "status": "running", "inputs": inputs}
+
+
+def _finished(before: dict[str, Any], inputs: dict[str, Any], file: Path) -> Literal["no", "same", "other sphere"]:
+    """Return whether a capture was finished with the same inputs, or with the same but for the person's sphere."""
+    if before.get("status") != "done":
+        return "no"
+    known = before.get("inputs", {})
+    try:
+        earlier = _plain(captured_settings(before, file))
+    except InputError:  # of another version
+        return "no"
+    if any(known.get(name) != inputs[name] for name in ("source", "seed")):
+        return "no"
+    automatic = {"centre": None, "radius": None}
+    if earlier == inputs["settings"]:
+        return "same"
+    return "other sphere" if {**earlier, **automatic} == {**inputs["settings"], **automatic} else "no"
 
 
 def _claim(folder: Path) -> FileLock:
@@ -92,16 +141,86 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
-    found = _masks(model, images, settings, seed, progress, seen)
+    scene, sphere = Scene(model, images, seen, settings, seed, progress), chosen_sphere(settings)
+    found, frame = None, load_frame(folder, model, settings)
+    if frame is None:
+        write_json(folder / FILE, _running(inputs))  # other cameras than before: the dataset in the folder is no longer valid
+    if frame is None or sphere is None:
+        if sphere is not None:
+            progress.message("the sphere is in the frame of the capture without it, for which the object is cut out without it first")
+        found = scene.cut_out(None)
+        frame = scene.frame(found)
+        frame.save(folder, model, settings)
+    if sphere is not None:
+        found = scene.cut_out(sphere.moved(np.linalg.inv(frame.similarity)))
     gains = exposure_gains(model, [one.view for one in images]) if seen is None else seen.gains
-    scale = _metres_per_unit(model, settings, progress)
-    bound = _scene_bound(model, images) if found is None else found.bound
-    plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
-    similarity = world_similarity([one.camera for one in images], bound, plane, scale)
-    turns = None if turntable is None else light_rotations(images, similarity)
-    result = CaptureResult(model, images, found, gains, similarity, scale is not None, [*left_out, *model.left_out], turns)
+    turns = None if turntable is None else light_rotations(images, frame.similarity)
+    all_left_out = [*left_out, *model.left_out]
+    result = CaptureResult(model, images, found, gains, frame.similarity, frame.true_size, all_left_out, turns, sphere)
+    result = with_object_shown(result)
+    _report_left_out(result.left_out[len(all_left_out) :], progress)
+    for line in other_things(result.others):
+        progress.message(line)
+    write_json(folder / FILE, _running(inputs))
     _write(result, folder, {"format": FORMAT, "status": "done", "inputs": inputs, "source": str(source), **describe(result)})
-    progress.message(f"capture: {len(images)} photographs, report in {folder / 'report.html'}")
+    progress.message(f"capture: {len(result.images)} photographs, report in {folder / 'report.html'}")
+
+
+@dataclass(frozen=True, eq=False)
+class Scene:
+    """Posed photographs, out of which the object is cut.
+
+    Attributes:
+        model: sparse model, in its own frame.
+        images: undistorted images of `model.posed`.
+        seen: static background of a turntable, or None.
+        settings: settings of the capture.
+        seed: seed of every random number generator.
+        progress: receives the progress and may cancel.
+    """
+
+    model: SparseModel
+    images: list[UndistortedImage]
+    seen: SeenBackground | None
+    settings: CaptureSettings
+    seed: int
+    progress: Progress
+
+    def cut_out(self, sphere: Bound | None) -> ObjectMasks | None:
+        """Cut the object out, unless the settings say not to.
+
+        Args:
+            sphere: the person's sphere, in the model's frame; None to find the object.
+        """
+        if sphere is not None:
+            check_sphere(sphere, [one.camera for one in self.images])
+        given = {one.view.name: one.mask for one in self.images if one.mask is not None}
+        points = PointCloud(self.model.position.astype(np.float32), self.model.colour.astype(np.float32) / 255)
+        background = None if self.seen is None else self.seen.masks
+        views = [one.view for one in self.images]
+        return cut_out(views, points, self.settings, self.seed, self.progress, sphere, given or None, background)
+
+    def frame(self, found: ObjectMasks | None) -> CapturedFrame:
+        """Return the frame of the dataset.
+
+        Args:
+            found: the object, cut out without a person's sphere; None where there is none.
+        """
+        scale = _metres_per_unit(self.model, self.settings, self.progress)
+        bound = _scene_bound(self.model, self.images) if found is None else found.bound
+        plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
+        return CapturedFrame(world_similarity([one.camera for one in self.images], bound, plane, scale), scale is not None)
+
+
+def _keep_edited_masks(folder: Path, progress: Progress) -> None:
+    """Copy the masks that were edited since a capture was finished, since new ones take their place."""
+    finished = (folder / FILE).stat().st_mtime_ns
+    edited = [file for file in sorted((folder / "masks").glob("*.png")) if file.stat().st_mtime_ns > finished]
+    for file in edited:
+        (folder / EDITED).mkdir(exist_ok=True)
+        shutil.copy2(file, folder / EDITED / file.name)
+    if edited:
+        progress.message(f"masks: {len(edited)} that were edited are replaced; copies are kept in {folder / EDITED}")
 
 
 def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
@@ -115,21 +234,6 @@ def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
     write_contact_sheet(images, masks, set(result.doubtful), folder / "contact_sheet.png")
     write_page(state, folder / "report.html")
     write_json(folder / FILE, state)
-
-
-def _masks(
-    model: SparseModel,
-    images: list[UndistortedImage],
-    settings: CaptureSettings,
-    seed: int,
-    progress: Progress,
-    seen: SeenBackground | None,
-) -> ObjectMasks | None:
-    """Cut the object out, unless the settings say not to."""
-    given = {one.view.name: one.mask for one in images if one.mask is not None}
-    points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
-    background = None if seen is None else seen.masks
-    return cut_out([one.view for one in images], points, settings, seed, progress, given=given or None, background=background)
 
 
 def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Progress) -> float | None:

@@ -5,13 +5,14 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from ..datasets.exposure import SMALLEST
 from ..scene.dataset import Bound
+from .chosen_sphere import other_things
 from .exposures import stated_log_gains
 from .object_masks import ObjectMasks
 from .photograph import LeftOut
@@ -32,6 +33,7 @@ class CaptureResult:
         true_size: True where a unit of the world is a metre.
         left_out: photographs that were not used.
         light_rotations: rotation from the world to the frame of the light by the view's name, of a turntable; else None.
+        sphere: the person's sphere about the object, in the world; None where the object was found by itself.
     """
 
     model: SparseModel
@@ -42,6 +44,7 @@ class CaptureResult:
     true_size: bool
     left_out: list[LeftOut]
     light_rotations: dict[str, list[list[float]]] | None = None
+    sphere: Bound | None = None
 
     @property
     def masks(self) -> Sequence[np.ndarray | None]:
@@ -55,8 +58,13 @@ class CaptureResult:
 
     @property
     def bound(self) -> Bound | None:
-        """Sphere about the object in the world; None where nothing was cut out."""
-        return None if self.found is None else self.found.bound.moved(self.similarity)
+        """Sphere about the object in the world: the person's, else that of the masks; None where nothing was cut out."""
+        return self.sphere or (None if self.found is None else self.found.bound.moved(self.similarity))
+
+    @property
+    def others(self) -> list[Bound]:
+        """Spheres about other things near the object, in the world."""
+        return [] if self.found is None else [one.moved(self.similarity) for one in self.found.others]
 
 
 def describe(result: CaptureResult) -> dict[str, Any]:
@@ -88,7 +96,10 @@ def _records(result: CaptureResult) -> list[dict[str, Any]]:
 
 def _notes(result: CaptureResult) -> list[str]:
     """Return lines about masks and exposure for the page."""
-    notes = ["no masks: the whole scene is reconstructed"] if result.found is None else list(result.found.messages)
+    no_masks = ["no masks: the whole scene is reconstructed"]
+    notes = no_masks if result.found is None else [*result.found.messages, *other_things(result.others)]
+    if result.sphere is not None:
+        notes.append("the object is what a given sphere holds (capture.centre, capture.radius)")
     if result.light_rotations is not None:
         notes.append("turntable: the camera was fixed and the object turned, so that the light turns about it")
     if np.log(result.gains).std(0).max() >= SMALLEST:
@@ -96,3 +107,27 @@ def _notes(result: CaptureResult) -> list[str]:
         origin = origin if result.light_rotations is None else "the static background"
         notes.append(f"exposure differs by up to {np.ptp(np.log2(result.gains.mean(1))):.2f} EV, by {origin}")
     return notes
+
+
+def with_object_shown(result: CaptureResult) -> CaptureResult:
+    """Return a result without the photographs that have no mask, where a person's sphere chose the object and others have one.
+
+    Beside the middle of the scene, an object is out of some photographs, and behind other things in others. A dataset of which some
+    photographs lack masks would be reconstructed without any.
+    """
+    if result.sphere is None or result.found is None:
+        return result
+    kept = [i for i, mask in enumerate(result.masks) if mask is not None]
+    reasons, gone = result.doubtful, {one.view.name for one in result.images} - {result.images[i].view.name for i in kept}
+    return replace(
+        result,
+        model=result.model.subset(kept),
+        images=[result.images[i] for i in kept],
+        found=replace(
+            result.found,
+            masks=[result.found.masks[i] for i in kept],
+            doubtful=[(name, reason) for name, reason in result.found.doubtful if name not in gone],
+        ),
+        gains=result.gains[kept],
+        left_out=[*result.left_out, *(LeftOut(name, reasons.get(name, "does not show the object")) for name in sorted(gone))],
+    )

@@ -14,14 +14,17 @@ from ..progress.protocol import Progress
 from ..scene.dataset import Bound, PointCloud, View
 from ..settings.schema import CaptureSettings
 from ..stereo.fusion import OrientedPoints
+from .chosen_sphere import check_points
 from .dense_points import DensePoints, find_dense_points
 from .ground import Ground, find_ground, with_base
+from .hidden_views import hidden_views
 from .mask_consistency import MaskedView, consistent_masks
 from .object_region import ObjectRegion, find_object_region
 from .segmentation import prepare_cutout
 from .soft_edges import soft_edges
 from .support_plane import SupportPlane, find_support_plane
 
+HIDDEN = "other things hide the object"
 MIN_MASKS = 3  # masks that must be found, and given masks that can stand for a support plane
 
 
@@ -36,7 +39,8 @@ class ObjectMasks:
         doubtful: names of views whose masks should be looked at, with the reason.
         points: dense points of the whole scene.
         on_object: (N,) bool, points that belong to the object.
-        messages: lines for the user, such as what was left out of the masks.
+        messages: lines for the user, such as what was taken for a part of the object.
+        others: bounding spheres of other things near the object that the masks leave out, the largest first.
     """
 
     masks: list[np.ndarray | None]
@@ -46,6 +50,7 @@ class ObjectMasks:
     points: OrientedPoints
     on_object: np.ndarray
     messages: list[str] = field(default_factory=list)
+    others: list[Bound] = field(default_factory=list)
 
 
 def cut_out(
@@ -66,14 +71,16 @@ def cut_out(
         settings: without `masks`, nothing is cut out.
         seed: seed of the random numbers.
         progress: receives the phases "dense points" and "cut out the object" and messages, and may cancel.
-        sphere: bounding sphere of the object, if the user gave it.
+        sphere: bounding sphere of the object in the views' frame, if the user gave it; it is then the bound of the result.
         given: masks (H, W) 0..1 that the user gave, by the view's name, for some or all views; followed but for a band at their edge.
         background: (H, W) bool by the view's name, True where the static background of a turntable is seen.
 
     Returns:
-        The masks; None, with a message that says why, where there is no object to cut out.
+        The masks, None in views in which other things hide the user's object; None, with a message that says why, where there is no object
+        to cut out.
 
     Raises:
+        InputError: the user's sphere holds no point of the scene.
         Cancelled: the user stopped the work.
     """
     given, background = given or {}, background or {}
@@ -81,8 +88,10 @@ def cut_out(
         return None
     cameras = [view.camera for view in views]
     dense = find_dense_points(views, points, sphere, seed, progress)
+    if sphere is not None:
+        check_points(sphere, [dense.points.position, *([] if points is None else [points.position])])
     plane = find_support_plane(dense, cameras, seed)
-    region = _region(views, dense, plane, sphere, given)
+    region = _region(views, dense, plane, sphere, given, progress)
     if isinstance(region, str):
         progress.message(f"masks: {region}; the photographs are used whole")
         return None
@@ -92,6 +101,8 @@ def cut_out(
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
     jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
+    hidden = [False] * len(views) if sphere is None else hidden_views(cameras, dense, plane, region)
+    cutouts = [None if behind else one for one, behind in zip(cutouts, hidden, strict=True)]
     parts = enumerate(zip(views, cutouts, strict=True))
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
     masks, doubtful = consistent_masks(masked, region, ground, progress)
@@ -99,15 +110,22 @@ def cut_out(
     if sum(mask is not None for mask in masks) < MIN_MASKS:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")
         return None
+    behind = {view.name for view, one in zip(views, hidden, strict=True) if one}
+    doubtful = [(name, HIDDEN if name in behind else reason) for name, reason in doubtful]
     bound, on_object = sphere or _bound(views, masks, region), region.labels(dense.points.position) == 1
-    found = ObjectMasks(masks, plane, bound, doubtful, dense.points, on_object, [*_base_taken(ground, region), *_left_out(region)])
+    found = ObjectMasks(masks, plane, bound, doubtful, dense.points, on_object, _base_taken(ground, region), region.clutter)
     for line in found.messages:
         progress.message(line)
     return found
 
 
 def _region(
-    views: Sequence[View], dense: DensePoints, plane: SupportPlane | None, sphere: Bound | None, given: dict[str, np.ndarray]
+    views: Sequence[View],
+    dense: DensePoints,
+    plane: SupportPlane | None,
+    sphere: Bound | None,
+    given: dict[str, np.ndarray],
+    progress: Progress,
 ) -> ObjectRegion | str:
     """Return the object's region, or the reason why there is none."""
     cameras = [view.camera for view in views]
@@ -115,11 +133,12 @@ def _region(
     if len(masked) >= MIN_MASKS and sphere is None:
         sphere = bound_of_masks([camera for camera, _ in masked], [mask for _, mask in masked], bound_of_cameras(cameras))
     if not dense.reliable and sphere is None:
-        return "the cameras don't look at one point (give the object's centre and radius)"
+        return "the cameras don't look at one point (a sphere tells where the object is: --sphere, or move it in Blender)"
     region = find_object_region(dense, plane, cameras, sphere)
     if region is not None:
         return region
-    if sphere is not None:  # nothing of it is seen by stereo: colours and given masks have to tell
+    if sphere is not None:  # the person's, or that of given masks
+        progress.message("masks: stereo sees nothing but the table in the object's sphere; colours and given masks alone tell the object")
         return ObjectRegion(sphere, np.asarray(sphere.centre) - sphere.radius, 2 * sphere.radius, np.zeros((1, 1, 1), np.uint8), [])
     return "nothing stands apart where the cameras look" if plane is not None else "no object stands on a plane or hangs free"
 
@@ -136,12 +155,3 @@ def _base_taken(ground: Ground | None, region: ObjectRegion) -> list[str]:
         return []
     share = 100 * ground.base.height / region.bound.radius
     return [f"masks: a flat part under the object is taken as its own ({share:.1f} % of its radius high); paint masks to leave it out"]
-
-
-def _left_out(region: ObjectRegion) -> list[str]:
-    """Return lines about things near the object that the masks leave out."""
-    if not region.clutter:
-        return []
-    sizes = ", ".join(f"{one.radius / region.bound.radius:.1f}" for one in region.clutter[:5])
-    what = "1 other thing" if len(region.clutter) == 1 else f"{len(region.clutter)} other things"
-    return [f"masks: {what} near the object left out (radius {sizes} times the object's); give a centre and radius to choose another"]

@@ -27,6 +27,7 @@ MIN_POINTS_PER_VOXEL = 3  # points in a voxel from which it is occupied
 MIN_CLUSTER_VOXELS = 12  # voxels of a cluster
 MAX_GAP_RADII = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
 STANDING_VOXELS = 4.0  # voxels above the plane below which a cluster stands on it by itself
+CLUTTER_RADII = 3.0  # radii of the object up to which other things are near it
 CENTRAL_FRACTION = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 RADIUS_QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
 RADIUS_MARGIN = 1.1  # factor of that radius
@@ -102,7 +103,7 @@ def find_object_region(
     Returns:
         The region, None where there is no cluster or where it fills the images beyond their edges, as a facade does.
     """
-    reach = min(SEARCH_REACH * dense.distance, FRAME_RADII * bound_of_cameras(cameras).radius if sphere is None else 3 * sphere.radius)
+    reach = _reach(dense, cameras, sphere)
     points = _above(dense, plane, reach)
     step = VOXEL_PIXELS * dense.pixel
     corner = dense.target - reach - step
@@ -129,6 +130,14 @@ def find_object_region(
         if sphere is not None or _framed(region, cameras, MAX_HANGING_BORDER_FRACTION if plane is None else MAX_BORDER_FRACTION)
         else None
     )
+
+
+def _reach(dense: DensePoints, cameras: Sequence[Camera], sphere: Bound | None) -> float:
+    """Return the distance from the look-at point up to which clusters are sought."""
+    nearer = SEARCH_REACH * dense.distance
+    if sphere is None:
+        return min(nearer, FRAME_RADII * bound_of_cameras(cameras).radius)
+    return max(min(nearer, CLUTTER_RADII * sphere.radius), sphere.radius)
 
 
 def _above(dense: DensePoints, plane: SupportPlane | None, reach: float) -> np.ndarray:
@@ -209,8 +218,8 @@ def bounding_sphere(points: np.ndarray, step: float) -> Bound:
 
 
 def _clutter(clusters: _Clusters, own: np.ndarray, corner: np.ndarray, step: float, bound: Bound) -> list[Bound]:
-    """Return the bounding spheres of other clusters within three radii of the object, the largest first."""
-    near = np.linalg.norm(clusters.centre - bound.centre, axis=1) < 3 * bound.radius
+    """Return the bounding spheres of other clusters near the object, the largest first."""
+    near = np.linalg.norm(clusters.centre - bound.centre, axis=1) < CLUTTER_RADII * bound.radius
     numbers = np.flatnonzero(near & ~own & (clusters.size >= 4 * MIN_CLUSTER_VOXELS))
     numbers = numbers[np.argsort(-clusters.size[numbers], kind="stable")]
     return [bounding_sphere(corner + (clusters.cells[clusters.label == n] + 0.5) * step, step) for n in numbers]

@@ -8,10 +8,9 @@ from pathlib import Path
 from ..datasets.format_detection import NoDataset, parse_dataset
 from ..datasets.formats.captured import FILE, load_capture
 from ..errors import InputError
+from ..run_folder import CAPTURE
 from ..settings.schema import DataSettings
 from .photograph_files import VIDEOS, has_photographs
-
-FOLDER = "capture"  # in a run folder whose photographs came without cameras
 
 
 def needs_capture(path: Path) -> bool:
@@ -45,7 +44,7 @@ def posed_dataset(path: Path, run: Path | None = None) -> Path:
     """
     if not needs_capture(path):
         return path
-    captured = None if run is None else run / FOLDER
+    captured = None if run is None else run / CAPTURE
     if captured is not None and (captured / FILE).is_file():
         state = load_capture(captured / FILE)
         if state.get("status") == "done" and state.get("inputs", {}).get("source") == str(path.resolve()):

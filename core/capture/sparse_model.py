@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -48,3 +49,23 @@ class SparseModel:
     track_pixel: np.ndarray
     error: float
     left_out: list[LeftOut]
+
+    def subset(self, kept: Sequence[int]) -> SparseModel:
+        """Return the model of some of its photographs, and the points that they observe.
+
+        Args:
+            kept: their indices in `posed`, ascending.
+        """
+        number = np.full(len(self.posed), -1, np.int32)
+        number[list(kept)] = np.arange(len(kept))
+        observed = number[self.track_photograph] >= 0
+        points, track_point = np.unique(self.track_point[observed], return_inverse=True)
+        return replace(
+            self,
+            posed=[self.posed[i] for i in kept],
+            position=self.position[points],
+            colour=self.colour[points],
+            track_point=track_point.reshape(-1).astype(np.int32),
+            track_photograph=number[self.track_photograph[observed]],
+            track_pixel=self.track_pixel[observed],
+        )

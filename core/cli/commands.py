@@ -6,15 +6,18 @@ from __future__ import annotations
 import argparse
 import dataclasses
 import json
+from pathlib import Path
 
 from ..errors import InputError
 from ..progress.recorder import JobRecorder
 from ..progress.terminal import Terminal
-from ..run_folder import read_run
+from ..run_folder import SPHERE, read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
 from .quick_imports import quick_imports
 from .renderer_options import relight_settings
+
+HAS_CAMERAS = "leave it out; a capture is changed by irgspp capture"
 
 # torch and numba are imported inside the commands, so that `irgspp --help` answers at once.
 
@@ -68,18 +71,43 @@ def capture(args: argparse.Namespace, terminal: Terminal) -> int:
         args: options of the command.
         terminal: receives the progress.
     """
-    settings = with_overrides(Settings(), args.set).capture
-    if args.marker is not None:
-        settings = dataclasses.replace(settings, marker=args.marker)
-    if args.turntable is not None:
-        settings = dataclasses.replace(settings, turntable=args.turntable)
+    with quick_imports():
+        from ..capture.recapture import captured_inputs
+
+    earlier = captured_inputs(args.photographs)
+    folder = _capture_folder(args, earlier is not None)
+    source, before, seed = earlier or (args.photographs, Settings().capture, 0)
+    settings = with_overrides(dataclasses.replace(Settings(), capture=before), [*capture_overrides(args), *args.set]).capture
     with quick_imports():
         from ..capture.capture import capture
 
-    folder = capture(args.photographs, args.folder, settings, args.seed, terminal)
+    capture(source, folder, settings, seed if args.seed is None else args.seed, terminal)
     terminal.end_line()
     print(folder)
     return 0
+
+
+def _capture_folder(args: argparse.Namespace, earlier: bool) -> Path:
+    """Return the folder to write; raise InputError where none, or for a finished or stopped capture (`earlier`) another one, is named."""
+    photographs: Path = args.photographs
+    folder: Path | None = args.folder
+    if earlier and folder is not None and folder.resolve() != photographs.resolve():
+        raise InputError(photographs, "is a capture, which is changed in its place", "leave -o out, or name the photographs")
+    if earlier:
+        return photographs
+    if folder is None:
+        raise InputError("capture", "no folder to write is named", "add -o DATASET")
+    return folder
+
+
+def capture_overrides(args: argparse.Namespace) -> list[str]:
+    """Return the options of captures as `key=value` texts."""
+    chosen = [] if args.marker is None else [f"capture.marker={args.marker!r}"]
+    chosen += [] if args.turntable is None else [f"capture.turntable={args.turntable}"]
+    if args.sphere is not None:
+        x, y, z, radius = args.sphere
+        chosen += [f"capture.centre={x!r},{y!r},{z!r}", f"capture.radius={radius!r}"]
+    return chosen
 
 
 def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -90,6 +118,7 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal: receives the progress.
     """
     settings = settings_of(args)
+    _check_bare(args)
     with quick_imports():
         from ..pipeline import reconstruct  # takes seconds: errors in the settings are reported before
 
@@ -99,13 +128,27 @@ def reconstruct(args: argparse.Namespace, terminal: Terminal) -> int:
     return 0
 
 
+def _check_bare(args: argparse.Namespace) -> None:
+    """Raise InputError where options of captures are given for a dataset that has its cameras."""
+    given = [name for name in ("--marker", "--turntable", "--sphere") if getattr(args, name[2:]) is not None]
+    if not given or not args.dataset.exists():
+        return
+    with quick_imports():
+        from ..capture.source import needs_capture
+
+    if not needs_capture(args.dataset):
+        raise InputError(" ".join(given), "is for photographs without cameras, which this dataset has", HAS_CAMERAS)
+
+
 def settings_of(args: argparse.Namespace) -> Settings:
-    """Return the settings that the options give; those of the run itself for `--resume` without options."""
+    """Return the settings that the options give; for `--resume` without options, or with another sphere alone, those of the run itself."""
     chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
-    if args.resume and not chosen and not args.set and args.preset is None and args.texture is None and (args.run / "run.json").exists():
-        return from_dict(read_run(args.run)["settings"], args.run / "run.json")
     texture = [] if args.texture is None else [f"surface.texture={args.texture}"]
-    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), [*texture, *args.set])
+    changes = [*texture, *capture_overrides(args), *args.set]
+    of_sphere = all(change.partition("=")[0].strip() in SPHERE for change in changes)
+    if args.resume and not chosen and of_sphere and args.preset is None and (args.run / "run.json").exists():
+        return with_overrides(from_dict(read_run(args.run)["settings"], args.run / "run.json"), changes)
+    return with_overrides(dataclasses.replace(preset(args.preset or "balanced"), **chosen), changes)
 
 
 def evaluate(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -67,13 +67,11 @@ def _add_capture(subparsers: Subparsers) -> None:
         "photographs without cameras, or a video, to a dataset: cameras, masks, exposures, true size",
         repeatable=True,
     )
-    one.add_argument("photographs", metavar="PHOTOS", type=Path, help="folder of photographs and videos, or a video")
-    one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, required=True, help="folder to write")
-    side = "side of the black square of an ArUco or AprilTag marker in the photographs, such as 5cm: the object gets its true size"
-    one.add_argument("--marker", type=length, metavar="SIZE", help=side)
-    fixed = "the object turns before a fixed camera (default: auto, where a background with texture stays at its place)"
-    one.add_argument("--turntable", choices=("auto", "on", "off"), help=fixed)
-    one.add_argument("--seed", type=int, default=0, metavar="N", help="seed of every random number generator (default: 0)")
+    source = "folder of photographs and videos, or a video; or a finished capture, to change its options in place"
+    one.add_argument("photographs", metavar="PHOTOS", type=Path, help=source)
+    one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, help="folder to write; not needed for a finished capture")
+    _capture_options(one)
+    one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
     _set_option(one)
 
 
@@ -94,6 +92,7 @@ def _add_reconstruct(subparsers: Subparsers) -> None:
     one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
     budget = "approximate time budget, such as 90s, 5m or 1h: schedules are shortened to fit, or lengthened as far as that helps"
     one.add_argument("--time", type=seconds, metavar="5m", help=budget)
+    _capture_options(one.add_argument_group("photographs without cameras"))
     _resume_options(one)
     one.add_argument("--overwrite", action="store_true", help="replace the run in the folder")
 
@@ -186,6 +185,16 @@ def _set_option(one: argparse.ArgumentParser) -> None:
     one.add_argument("--set", action="append", default=[], metavar="KEY=VALUE", help=change)
 
 
+def _capture_options(one: Any) -> None:
+    """Add the options of captures to a parser or a group of it."""
+    side = "side of the black square of an ArUco or AprilTag marker in the photographs, such as 5cm: the object gets its true size"
+    one.add_argument("--marker", type=length, metavar="SIZE", help=side)
+    fixed = "the object turns before a fixed camera (default: auto, where a background with texture stays at its place)"
+    one.add_argument("--turntable", choices=("auto", "on", "off"), help=fixed)
+    sphere = "sphere that holds the object, in the coordinates of the captured dataset (default: the object is found)"
+    one.add_argument("--sphere", type=float, nargs=4, metavar=("X", "Y", "Z", "RADIUS"), help=sphere)
+
+
 def _resume_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--resume", action="store_true", help="continue the run in the folder")
     _set_option(one)
@@ -201,4 +210,6 @@ def check_words(words: Sequence[str]) -> None:
         lines = output.getvalue().strip().splitlines()
         raise InputError(words[0], lines[-1].partition("error: ")[2] if lines else "is not a command of irgspp") from None
     if args.command is commands.reconstruct:
-        with_overrides(preset(args.preset or "balanced"), args.set)
+        from ..capture.chosen_sphere import chosen_sphere
+
+        chosen_sphere(with_overrides(preset(args.preset or "balanced"), [*commands.capture_overrides(args), *args.set]).capture)

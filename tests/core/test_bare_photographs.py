@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 from irgspp.core import pipeline
 from irgspp.core.capture import capture as capturing
-from irgspp.core.capture.source import FOLDER, posed_dataset
+from irgspp.core.capture.source import posed_dataset
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.machine import cpu_memory
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.run_folder import read_run
+from irgspp.core.run_folder import CAPTURE, read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from room_corner import cameras, take, textures
@@ -61,7 +61,7 @@ def undisturbed(photographs, tmp_path_factory):
 
 def contents(run):
     """Bytes of the files that the capture leaves for the reader."""
-    return {name: (run / FOLDER / name).read_bytes() for name in CAPTURED}
+    return {name: (run / CAPTURE / name).read_bytes() for name in CAPTURED}
 
 
 def assert_times_add_up(state):
@@ -75,7 +75,7 @@ def test_photographs_are_captured_into_the_run_and_read_from_there(undisturbed, 
     assert state["status"] == "done" and list(state["phases"]) == ["capture", "read", "first stage", *ALL[1:]]
     assert_times_add_up(state)
     assert phases.index("find poses") < phases.index("undistort photographs") < phases.index("read images") < phases.index("first stage")
-    assert data.format == "capture" and data.path == run / FOLDER == posed_dataset(photographs, run)
+    assert data.format == "capture" and data.path == run / CAPTURE == posed_dataset(photographs, run)
     assert [view.name for view in (*data.train, *data.test)] == ["photo 1", "photo 2", "photo 3", "photo 0"]
     assert sorted(path.name for path in photographs.iterdir()) == [f"photo {i}.png" for i in range(COUNT)]  # nothing is written there
 
@@ -104,7 +104,7 @@ def test_run_that_was_cancelled_in_its_capture_goes_on(undisturbed, photographs,
         pipeline.reconstruct(photographs, tmp_path / "run", SETTINGS, progress=Steps(phase, steps))
     state = read_run(tmp_path / "run")
     assert state["status"] == "cancelled" and not state["phases"]["capture"]["finished"] and stages.ran == []
-    kept = "left_out" in json.loads((tmp_path / "run" / FOLDER / "poses.json").read_text("utf-8"))  # poses are complete
+    kept = "left_out" in json.loads((tmp_path / "run" / CAPTURE / "poses.json").read_text("utf-8"))  # poses are complete
     assert not kept if phase == "find features" else kept or phase == "find poses"  # the last step of a few photographs may be done at once
     progress = Steps()
     pipeline.reconstruct(photographs, tmp_path / "run", SETTINGS, resume=True, progress=progress)
@@ -118,7 +118,7 @@ def test_run_that_was_cancelled_after_its_capture_keeps_it(photographs, stages, 
     stages.stop, run = "train", tmp_path / "run"
     with pytest.raises(Cancelled):
         pipeline.reconstruct(photographs, run, SETTINGS)
-    captured = {file: file.stat().st_mtime_ns for file in (run / FOLDER).rglob("*") if file.is_file()}
+    captured = {file: file.stat().st_mtime_ns for file in (run / CAPTURE).rglob("*") if file.is_file()}
     stages.stop, stages.ran[:], progress = "surface", [], Steps()
     with pytest.raises(Cancelled):
         pipeline.reconstruct(photographs, run, SETTINGS, resume=True, progress=progress)
@@ -159,3 +159,31 @@ def test_photographs_that_can_not_be_captured_fail_the_run(photographs, tmp_path
         pipeline.reconstruct(two, tmp_path / "run", SETTINGS)
     state = read_run(tmp_path / "run")
     assert state["status"] == "failed" and "fewer than 3" in state["error"] and stages.ran == []
+
+
+def test_another_sphere_resumes_a_run_with_the_poses_it_has(photographs, monkeypatch, tmp_path):
+    """Here it is the bound alone, as the photographs are used whole."""
+    run = tmp_path / "run"
+    Stages(monkeypatch, SETTINGS, read=False)
+    pipeline.reconstruct(photographs, run, SETTINGS)
+    poses = (run / CAPTURE / "poses.json").read_bytes()
+    cameras_before = (run / CAPTURE / "cameras.json").read_bytes()
+    finished = (run / "run.json").read_bytes()
+    far = with_overrides(SETTINGS, ["capture.centre=0,0,900", "capture.radius=0.1"])
+    with pytest.raises(InputError, match="is shown by 0 of 4 photographs"):
+        pipeline.reconstruct(photographs, run, far, resume=True)
+    assert (run / "run.json").read_bytes() == finished and (run / "mesh.ply").exists()
+    moved = with_overrides(SETTINGS, ["capture.centre=0.1,0,0", "capture.radius=0.4"])
+    stages, progress = Stages(monkeypatch, moved, read=False), Steps()
+    pipeline.reconstruct(photographs, run, moved, resume=True, progress=progress)
+    assert stages.ran == ALL and "find features" not in progress.phases
+    assert (run / CAPTURE / "poses.json").read_bytes() == poses and (run / CAPTURE / "cameras.json").read_bytes() == cameras_before
+    assert stages.data.bound.centre == (0.1, 0.0, 0.0) and stages.data.bound.radius == 0.4
+    assert read_run(run)["settings"]["capture"]["radius"] == 0.4
+
+
+def test_a_sphere_is_of_photographs_without_cameras(tmp_path, stages):
+    settings = with_overrides(SETTINGS, ["capture.centre=0.1,0,0", "capture.radius=0.4"])
+    with pytest.raises(InputError, match="are for photographs without cameras, which this dataset has; cut a capture out again"):
+        pipeline.reconstruct(pipeline.DEMO_DATA, tmp_path / "run", settings)
+    assert not (tmp_path / "run").exists()

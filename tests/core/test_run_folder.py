@@ -15,7 +15,7 @@ from irgspp.core.machine.peak_memory import peak_memory, reset_peak_memory
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.progress.recorder import ProgressRecorder
 from irgspp.core.run_folder import RunFolder, read_run, write_atomic
-from irgspp.core.settings.overrides import to_dict
+from irgspp.core.settings.overrides import to_dict, with_overrides
 from irgspp.core.settings.schema import Settings, preset
 
 
@@ -122,6 +122,44 @@ def test_resume_with_other_settings_is_refused(run, settings, dataset, words):
     with pytest.raises(InputError, match=words):
         reopen(run, settings, dataset, resume=True)
     reopen(run, resume=True).close()  # the refusal has let go of the folder
+
+
+def with_sphere(*values):
+    return with_overrides(Settings(), [f"capture.centre={','.join(map(str, values[:3]))}", f"capture.radius={values[3]}"])
+
+
+def test_another_sphere_begins_anew_with_the_capture(run):
+    with run.timed("capture"), run.timed("first stage"):
+        pass
+    for folder in ("capture", "textures"):
+        (run.path / folder).mkdir()
+        (run.path / folder / "a").touch()
+    (run.path / "mesh.ply").touch()
+    cut = []
+    again = reopen(run, with_sphere(0, 0, 1, 0.5), resume=True, recut=lambda: cut.append((run.path / "mesh.ply").exists()))
+    assert cut == [True] and (run.path / "capture" / "a").exists()
+    assert not (run.path / "mesh.ply").exists() and not (run.path / "textures").exists()
+    assert not again.finished("capture") and not again.finished("first stage")
+    state = read_run(run.path)
+    assert state["settings"]["capture"]["radius"] == 0.5 and "recut" not in state
+    reopen(again, with_sphere(0, 0, 1, 0.5), resume=True, recut=lambda: cut.append(1)).close()
+    assert cut == [True]  # the same sphere
+
+
+def test_a_sphere_that_is_refused_leaves_the_run(run):
+    (run.path / "mesh.ply").touch()
+    run.write()
+    before = (run.path / "run.json").read_bytes()
+
+    def refuse():
+        raise InputError("sphere", "holds no point")
+
+    with pytest.raises(InputError, match="holds no point"):
+        reopen(run, with_sphere(0, 0, 1, 0.5), resume=True, recut=refuse)
+    assert (run.path / "run.json").read_bytes() == before and (run.path / "mesh.ply").exists()
+    with pytest.raises(InputError, match=r"other options \(first.iterations"):
+        reopen(run, with_overrides(with_sphere(0, 0, 1, 0.5), ["first.iterations=9"]), resume=True, recut=refuse)
+    reopen(run, resume=True).close()
 
 
 def test_a_run_resumes_after_its_project_was_moved(tmp_path):

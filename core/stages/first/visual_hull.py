@@ -125,9 +125,8 @@ def visual_hull(views: list[View], bound: Bound) -> VisualHull:
     coarse = _carve(views, bound, centre - radius, centre + radius, HULL_CELLS // 2)
     cells = np.argwhere(coarse.inside > MIN_OCCUPIED_ALPHA)
     if not len(cells):
-        raise InputError(
-            "masks", "no point of the object's bound is inside all masks", "check the cameras, or set data.centre, data.radius"
-        )
+        fix = "check cameras and masks, or set data.centre, data.radius; a capture is cut out again by irgspp capture DATASET --sphere"
+        raise InputError("masks", "no point of the object's bound is inside all masks", fix)
     low, high = coarse.corner + (cells.min(0) - BORDER_CELLS) * coarse.step, coarse.corner + (cells.max(0) + BORDER_CELLS) * coarse.step
     return _carve(views, bound, low, high, HULL_CELLS)
 

@@ -5,8 +5,11 @@ from pathlib import Path
 
 import pytest
 from irgspp.core.batch.jobs import read_jobs
-from irgspp.core.cli.parser import check_words
+from irgspp.core.capture.source import needs_capture
+from irgspp.core.cli.commands import settings_of
+from irgspp.core.cli.parser import check_words, parser
 from irgspp.core.errors import InputError
+from irgspp.core.settings.schema import CaptureSettings
 
 GOOD = """
 [defaults]
@@ -49,6 +52,21 @@ def test_a_list_becomes_commands(tmp_path):
     assert fox.name == "the fox" and fox.steps == (words, *after)
 
 
+def test_photographs_without_cameras_are_a_job(tmp_path):
+    """One command captures and reconstructs them; settings of the capture are the job's."""
+    text = 'set = ["capture.marker=0.05", "capture.centre=0,0,0.1", "capture.radius=0.1"]\n[[job]]\ndataset = "mug"\noutput = "run"'
+    photos = tmp_path / "mug"
+    photos.mkdir()
+    for name in ("a.jpg", "b.jpg", "c.jpg"):
+        (photos / name).touch()
+    (job,) = jobs_of(tmp_path, f"[defaults]\n{text}\nafter = ['evaluate']")
+    assert needs_capture(photos) and job.steps[0][:4] == ("reconstruct", str(photos), "-o", str(tmp_path / "run"))
+    assert job.steps[0][4:] == ("--set", "capture.marker=0.05", "--set", "capture.centre=0,0,0.1", "--set", "capture.radius=0.1")
+    assert job.steps[1] == ("evaluate", str(tmp_path / "run"), str(photos))  # which finds the capture in the run folder
+    args = parser().parse_args(list(job.steps[0]))
+    assert settings_of(args).capture == CaptureSettings(marker=0.05, centre=(0.0, 0.0, 0.1), radius=0.1)
+
+
 JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
 
 
@@ -67,6 +85,7 @@ JOB = '[[job]]\ndataset = "d"\noutput = "o"\n'
         (JOB + "preset = 'fast'", "job 1 (o): reconstruct: .*invalid choice: 'fast'"),
         (JOB + "set = ['surface.texure=1']", "surface.texture"),
         (JOB + "set = 'surface.texture=64'", "set is not a list of strings"),
+        (JOB + "set = ['capture.centre=0,0,1']", r"job 1 (o): reconstruct: capture\.centre: is given without capture\.radius"),
         (JOB + "seed = 1.5", "seed = 1.5 is neither"),
         (JOB + "name = '../a'", "can't be its name"),
         (JOB + "after = ['reconstruct x -o y']", "reconstruct can't follow a reconstruction; use bake, evaluate, export, render"),

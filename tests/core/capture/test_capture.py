@@ -20,6 +20,7 @@ from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.settings.schema import CaptureSettings
 from PIL import Image
+from scripts_folder import scripts_on_path
 
 SETTINGS = CaptureSettings()
 LEFT_OUT = [LeftOut("stray", "matches no other photograph")]
@@ -104,6 +105,115 @@ def test_a_finished_capture_is_kept_and_a_stopped_one_goes_on(photographs, true_
     assert len(true_poses) == asked and "finished before" in progress.messages[-1]
     assert "left out stray: matches no other photograph" in second.messages
     assert {file: file.stat().st_mtime_ns for file in written} == written
+
+
+@pytest.fixture
+def aimed_points(dense, monkeypatch):
+    """Replace stereo by the points that it finds in this scene, aimed at the sphere that is given."""
+
+    def find(views, points, sphere, seed, progress):
+        return dense if sphere is None else replace(dense, target=np.array(sphere.centre))
+
+    monkeypatch.setattr("irgspp.core.capture.object_masks.find_dense_points", find)
+
+
+def poses_of(folder):
+    data = load_dataset(folder)
+    return {view.name: view.camera.to_world for view in (*data.train, *data.test)}
+
+
+def sphere_of_the_other_thing(lines):
+    (line,) = [line for line in lines if "1 other thing near the object left out" in line]
+    return [float(word) for word in line.partition("X Y Z RADIUS ")[2].partition(";")[0].split()]
+
+
+def test_a_sphere_chooses_another_object_in_place(photographs, table_scene, true_poses, aimed_points, heard, tmp_path, capsys):
+    """By the numbers of the log's line, on the command line; the cameras stay, and so does the frame."""
+    first, folder = heard(), tmp_path / "captured"
+    capture(photographs, folder, SETTINGS, 0, first)
+    before, automatic = poses_of(folder), load_dataset(folder).bound
+    x, y, z, radius = sphere_of_the_other_thing(first.messages)
+    assert main(["capture", str(folder), "--sphere", str(x), str(y), str(z), str(radius)]) == 0
+    data, after = load_dataset(folder), poses_of(folder)
+    assert all(np.allclose(after[name], before[name], atol=1e-9) for name in after)
+    assert np.allclose((*data.bound.centre, data.bound.radius), (x, y, z, radius), rtol=1e-6)
+    truth = other_things_masks()
+    assert data.has_alpha and min(overlap(view.alpha, truth[view.name]) for view in (*data.train, *data.test)) > 0.85
+    left_out = {one["name"]: one["reason"] for one in json.loads((folder / "capture.json").read_text())["left_out"]}
+    assert left_out["view07"] == "other things hide the object" and set(left_out) == {"stray", *(set(before) - set(after))}
+    assert "a given sphere holds" in (folder / "report.html").read_text()
+    again = heard()
+    settings = replace(SETTINGS, centre=(x, y, z), radius=radius)
+    capture(photographs, folder, settings, 0, again)
+    assert "finished before" in again.messages[-1]
+    words = ["--set", "capture.centre=none", "--set", "capture.radius=none"]  # back to the object that is found
+    assert main(["capture", str(folder), *words]) == 0
+    assert np.allclose(load_dataset(folder).bound.centre, automatic.centre) and set(poses_of(folder)) == set(before)
+    assert capsys.readouterr().out.splitlines() == [str(folder)] * 2
+
+
+def other_things_masks():
+    with scripts_on_path() as script:
+        scenes = script("stresses.table_scene")
+    return scenes.photographed_table((scenes.CLUTTER, scenes.OBJECT)).masks
+
+
+def test_a_sphere_means_the_same_without_an_earlier_capture(photographs, true_poses, aimed_points, heard, tmp_path):
+    first, straight = heard(), heard()
+    capture(photographs, tmp_path / "first", SETTINGS, 0, first)
+    *centre, radius = sphere_of_the_other_thing(first.messages)
+    settings = replace(SETTINGS, centre=tuple(centre), radius=radius)
+    capture(photographs, tmp_path / "first", settings, 0, heard())
+    capture(photographs, tmp_path / "straight", settings, 0, straight)
+    assert any("cut out without it first" in line for line in straight.messages)
+    one, other = poses_of(tmp_path / "first"), poses_of(tmp_path / "straight")
+    assert all(np.allclose(one[name], other[name], atol=1e-9) for name in one)
+    names = [file.name for file in (tmp_path / "first" / "masks").iterdir()]
+    assert all((tmp_path / "first/masks" / n).read_bytes() == (tmp_path / "straight/masks" / n).read_bytes() for n in names)
+
+
+def test_a_wrong_sphere_or_a_stop_leaves_the_dataset(photographs, true_poses, aimed_points, heard, tmp_path, capsys):
+    folder = tmp_path / "captured"
+    capture(photographs, folder, SETTINGS, 0, heard())
+    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.name != ".lock"}
+    for sphere, words in (("0 0 90 1", "is shown by 0 of 12"), ("0 0 0 900", "cameras inside"), ("0.8 0 1 .1", "holds no point")):
+        assert main(["capture", str(folder), "--sphere", *sphere.split()]) == 2
+        error = capsys.readouterr().err
+        assert words in error and "Traceback" not in error
+    assert main(["capture", str(folder), "--set", "capture.radius=1"]) == 2
+    assert "without capture.centre" in capsys.readouterr().err
+    assert main(["capture", str(folder), "--sphere", "0", "0", "1", "-1"]) == 2
+    assert "capture.radius" in capsys.readouterr().err
+    with pytest.raises(Cancelled):
+        capture(photographs, folder, replace(SETTINGS, centre=(0.0, 0.0, 1.0), radius=1.1), 0, heard(steps=9))
+    assert {file: file.read_bytes() for file in before} == before
+    assert load_dataset(folder).has_alpha
+
+
+def test_edited_masks_are_kept_beside(photographs, true_poses, aimed_points, heard, tmp_path):
+    folder = tmp_path / "captured"
+    capture(photographs, folder, SETTINGS, 0, heard())
+    mask = folder / "masks" / "view02.png"
+    Image.new("L", Image.open(mask).size, 255).save(mask)
+    edited, progress = mask.read_bytes(), heard()
+    capture(photographs, folder, replace(SETTINGS, centre=(0.0, 0.0, 0.85), radius=1.1), 0, progress)
+    assert [file.name for file in (folder / "edited_masks").iterdir()] == ["view02.png"]
+    assert (folder / "edited_masks" / "view02.png").read_bytes() == edited != mask.read_bytes()
+    assert any("1 that were edited" in line for line in progress.messages)
+
+
+def test_a_capture_is_changed_in_its_place(photographs, true_poses, known_points, heard, tmp_path, capsys):
+    folder = tmp_path / "captured"
+    capture(photographs, folder, SETTINGS, 0, heard())
+    assert main(["capture", str(folder), "-o", str(tmp_path / "other")]) == 2
+    assert "is changed in its place" in capsys.readouterr().err
+    assert main(["capture", str(photographs)]) == 2
+    assert "add -o DATASET" in capsys.readouterr().err
+    state = json.loads((folder / "capture.json").read_text())
+    state["inputs"]["source"] = str(tmp_path / "gone")
+    (folder / "capture.json").write_text(json.dumps(state))
+    assert main(["capture", str(folder), "--sphere", "0", "0", "1", "1"]) == 2
+    assert "photographs that are gone" in capsys.readouterr().err
 
 
 def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, tmp_path):

@@ -146,6 +146,30 @@ def test_bare_resume_takes_the_settings_of_the_run(tmp_path):
     assert settings_of(parser().parse_args(["reconstruct", "d", "-o", str(tmp_path / "run"), "--resume"])) == settings
 
 
+def test_another_sphere_resumes_with_the_other_settings_of_the_run(tmp_path):
+    settings, line = with_overrides(preset("draft"), ["seed=5"]), f"reconstruct d -o {tmp_path / 'run'} --resume"
+    RunFolder.open(tmp_path / "run", settings, "d").close()
+    moved = settings_of(parser().parse_args([*line.split(), "--sphere", "-0.5", "0", "0.25", "0.3"]))
+    assert moved == with_overrides(settings, ["capture.centre=-0.5,0,0.25", "capture.radius=0.3"])
+    assert settings_of(parser().parse_args([*line.split(), "--set", "capture.radius=none"])) == settings
+    assert settings_of(parser().parse_args([*line.split(), "--set", "seed=6"])).first == preset("balanced").first
+
+
+def test_options_of_captures_are_those_of_reconstruct(job, tmp_path, capsys):
+    (tmp_path / "photos").mkdir()
+    (tmp_path / "photos" / "a.jpg").touch()
+    words = ["--marker", "5cm", "--turntable", "on", "--sphere", "0", "-1", "2", "0.5", "-o", str(tmp_path / "run")]
+    assert main(["reconstruct", str(tmp_path / "photos"), *words]) == 0
+    found = job.calls[-1][2].capture
+    assert (found.marker, found.turntable, found.centre, found.radius) == (0.05, "on", (0.0, -1.0, 2.0), 0.5)
+    assert main(["reconstruct", str(pipeline.DEMO_DATA), *words]) == 2
+    assert "--marker --turntable --sphere: is for photographs without cameras" in capsys.readouterr().err
+    assert main(["reconstruct", str(tmp_path / "photos"), "--marker", "5", "-o", "r"]) == 2
+    assert main(["reconstruct", str(tmp_path / "photos"), "--sphere", "1", "2", "3", "-o", "r"]) == 2
+    assert main(["reconstruct", str(tmp_path / "photos"), "--sphere", "1", "2", "3", "-4", "-o", "r"]) == 2
+    assert len(job.calls) == 1
+
+
 def test_bad_override_is_status_2(job, tmp_path, capsys):
     assert main(["reconstruct", "photos", "-o", str(tmp_path / "run"), "--set", "first.iteration=3"]) == 2
     assert "first.iterations" in capsys.readouterr().err

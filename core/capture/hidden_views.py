@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Photographs in which other things hide the object that a person has chosen: their masks would show less than the object's outline."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from ..scene.camera import Camera
+from .dense_points import MAX_DEPTH_MAP_SIDE, DensePoints
+from .object_region import ObjectRegion, lowest_height
+from .soft_hull import projected_voxels
+from .support_plane import SupportPlane
+
+MAX_HIDDEN = 0.1  # fraction of the object's outline that may be hidden: stray points of stereo hide up to .03
+MARGIN_VOXELS = 2.0  # voxels by which a thing must be nearer than the object to hide it
+
+
+def hidden_views(cameras: Sequence[Camera], dense: DensePoints, plane: SupportPlane | None, region: ObjectRegion) -> list[bool]:
+    """Return for each view whether other things hide more than MAX_HIDDEN of the object.
+
+    Args:
+        cameras: cameras of all views.
+        dense: dense points of the scene.
+        plane: plane on which the object stands, or None.
+        region: region of the object.
+    """
+    position = dense.points.position.astype(np.float64)
+    other = region.labels(position) != 1
+    if plane is not None:
+        other &= plane.height(position) > lowest_height(dense, plane)
+    own = region.points()
+    return [len(own) > 0 and _hidden_fraction(camera, own, position[other], region.step) > MAX_HIDDEN for camera in cameras]
+
+
+def _hidden_fraction(camera: Camera, own: np.ndarray, other: np.ndarray, step: float) -> float:
+    """Return the fraction of the outline of voxels (N, 3) before which points (M, 3) lie; 0 where the view does not show them."""
+    scale = min(1.0, MAX_DEPTH_MAP_SIDE / max(camera.width, camera.height))
+    small = camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
+    outline = projected_voxels(small, own, step) > 0
+    if not outline.any():
+        return 0.0
+    front, between = (_nearest(small, points) for points in (own, other))
+    near = np.full_like(front, np.inf)  # voxels are wider than a pixel: the nearest one around each pixel
+    rows, columns = np.nonzero(outline)
+    reach = int(np.ceil(step * small.fx / max(float(np.min(front)), 1e-9)))
+    padded = np.pad(front, reach, constant_values=np.inf)
+    size = 2 * reach + 1
+    near[rows, columns] = np.lib.stride_tricks.sliding_window_view(padded, (size, size))[rows, columns].min((-1, -2))
+    return float((between < near - MARGIN_VOXELS * step)[outline].mean())
+
+
+def _nearest(camera: Camera, points: np.ndarray) -> np.ndarray:
+    """Return the least depth (H, W) of the points (N, 3) in each pixel; infinite where there is none."""
+    pixel, depth = camera.project(points)
+    seen = camera.in_image(pixel, depth)
+    column, row = pixel[seen].astype(np.int64).T
+    image = np.full((camera.height, camera.width), np.inf)
+    np.minimum.at(image, (row, column), depth[seen])
+    return image
