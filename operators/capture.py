@@ -4,6 +4,7 @@
 # pyright: reportInvalidTypeForm=false
 
 from pathlib import Path
+from typing import Any
 
 import bpy
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty, StringProperty
@@ -12,13 +13,15 @@ from ..core.errors import InputError
 from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.capture_file import FILE, CaptureSummary, read_capture
 from ..irgspp_addon.importer.dataset_import import checked
+from ..irgspp_addon.importer.mask_image import save_masks
+from ..irgspp_addon.importer.object_sphere import cut_settings
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import VIDEOS, beside, set_quietly
 from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
+from .command_words import capture_words, set_words
 from .file_dialog import FileDialog
-from .reconstruct import capture_words, set_words
 
 NAMED = 3  # photographs left out that a report names
 
@@ -58,7 +61,7 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         job = self._start(context.scene)
         ended = run_to_end(self, job) if self.wait else {"FINISHED"}
         if self.wait and ended == {"FINISHED"} and self.import_result:
-            _use(context.scene, job, wait=True)
+            use_capture(context.scene, job, wait=True)
             self.report({"INFO"}, found(read_capture(job.folder)))
         return ended
 
@@ -81,6 +84,8 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         stopped = read_capture(source)
         if stopped is not None and stopped.status == "broken":
             raise InputError(source / FILE, "can't be read", "choose the photographs, and name another folder or delete this one")
+        if moved := cut_settings(scene, source, stopped):
+            return start_cut(scene, source, moved, "import_capture" if self.import_result and not self.wait else None)
         if stopped is not None:  # the folder of a capture that goes on
             source, folder = checked(stopped.source), source
         else:
@@ -90,6 +95,22 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         data = {**result_import.place_of(scene), "source": str(source), "run": str(folder)}
         on_done = "import_capture" if self.import_result and not self.wait else None
         return jobs.start("capture", f"Find cameras of {source.name}", folder, words, on_done, data)
+
+
+def start_cut(scene: bpy.types.Scene, folder: Path, moved: list[str], on_done: str | None, data: dict[str, Any] | None = None) -> Job:
+    """Start the job that cuts the object of a finished capture out again, with the capture's own options but for the sphere.
+
+    Args:
+        scene: from which the job is started.
+        folder: folder of the capture.
+        moved: the sphere, see `cut_settings`.
+        on_done: name of the function that the finished job calls; None for none.
+        data: more data for that function.
+    """
+    save_masks()  # what was painted is kept beside the new masks
+    words = ["capture", str(folder), *(word for setting in moved for word in ("--set", setting))]
+    data = {**result_import.place_of(scene), "source": str(folder), "run": str(folder), **(data or {})}
+    return jobs.start("capture", f"Cut out the object of {folder.name}", folder, words, on_done, data)
 
 
 def found(capture: CaptureSummary | None) -> str:
@@ -107,11 +128,17 @@ def found(capture: CaptureSummary | None) -> str:
 def import_when_captured(job: Job) -> None:
     """Import a captured dataset into the scene that the job was started from."""
     with result_import.started_from(job, f"choose {job.folder} as photographs there") as scene:
-        _use(scene, job, wait=False)
+        use_capture(scene, job, wait=False)
 
 
-def _use(scene: bpy.types.Scene, job: Job, wait: bool) -> None:
-    """Choose the captured dataset in the panel, unless the user has chosen another one meanwhile, and import it."""
+def use_capture(scene: bpy.types.Scene, job: Job, wait: bool) -> None:
+    """Choose the captured dataset in the panel, unless the user has chosen another one meanwhile, and import it.
+
+    Args:
+        scene: with the panel's settings.
+        job: finished capture.
+        wait: return when it is imported.
+    """
     panel = scene.irgspp
     chosen = panel.dataset_path()
     if chosen is None or chosen.resolve() in (Path(job.data["source"]), job.folder.resolve()):

@@ -3,7 +3,6 @@
 
 # pyright: reportInvalidTypeForm=false
 
-import shlex
 from pathlib import Path
 
 import bpy
@@ -11,14 +10,20 @@ from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError
 from ..irgspp_addon import shared_properties as shared
+from ..irgspp_addon.importer.capture_file import read_capture
 from ..irgspp_addon.importer.mask_image import save_masks
-from ..irgspp_addon.importer.object_sphere import bound_settings
+from ..irgspp_addon.importer.object_sphere import bound_settings, cut_settings
 from ..irgspp_addon.importer.photographs import find_bare_photographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import beside
 from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
+from .capture import start_cut, use_capture
+from .command_words import capture_words, set_words
+
+# Properties of the operator that a reconstruction after a cut is started with again.
+OPTIONS = ("dataset", "run", "preset", "materials", "device", "seed", "settings", "resume", "overwrite", "import_result")
 
 
 class IRGSPP_OT_reconstruct(bpy.types.Operator):
@@ -49,6 +54,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
     overwrite: BoolProperty(name="Overwrite", description="Replace the run in the folder", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
+    was_cut: BoolProperty(description="The object has just been cut out by its sphere", options={"SKIP_SAVE", "HIDDEN"})
 
     def invoke(self, context: bpy.types.Context, event: bpy.types.Event) -> set[str]:
         """Run as a button does: queue a job; ask before a run is replaced.
@@ -67,6 +73,14 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Start the reconstruction as a job."""
         self._take_from_scene(context.scene)
+        cut = self._start_cut(context.scene)
+        if cut is not None and not self.wait:
+            self.report({"INFO"}, f"{cut.title}: {cut.state}; the reconstruction follows")
+            return {"FINISHED"}
+        if cut is not None:
+            if (ended := run_to_end(self, cut)) != {"FINISHED"}:
+                return ended
+            use_capture(context.scene, cut, wait=True)
         job = self._start(context.scene)
         if not self.wait:
             self.report({"INFO"}, f"{job.title}: {job.state}")
@@ -88,13 +102,33 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
             self.dataset = str(panel.dataset_path() or "")
             self.run = self.run if given("run") else bpy.path.abspath(panel.run)
 
-    def _start(self, scene: bpy.types.Scene) -> Job:
+    def _folders(self) -> tuple[Path, Path]:
+        """Return dataset and run folder; raise InputError where there is no dataset."""
         if not self.dataset:
             raise InputError("photographs", "no folder is chosen", "choose one in the panel, or give dataset=")
         dataset = Path(bpy.path.abspath(self.dataset)).absolute()
         if not dataset.exists():
             raise InputError(dataset, "no such folder", "it may have been moved; choose it again")
-        run = Path(bpy.path.abspath(self.run)).absolute() if self.run else beside(dataset, "_irgspp")
+        return dataset, Path(bpy.path.abspath(self.run)).absolute() if self.run else beside(dataset, "_irgspp")
+
+    def _start_cut(self, scene: bpy.types.Scene) -> Job | None:
+        """Start the job that cuts the object of a capture out again, after which this one follows; None where its sphere was not moved.
+
+        A run that is resumed goes on with the object that it began with.
+        """
+        dataset, run = self._folders()
+        moved = [] if self.was_cut or self._resumes(run) else cut_settings(scene, dataset, read_capture(dataset))
+        if not moved:
+            return None
+        self._arguments(scene, dataset, run)  # raises InputError where the reconstruction would be refused
+        options = {name: getattr(self, name) for name in OPTIONS}
+        return start_cut(scene, dataset.resolve(), moved, None if self.wait else "reconstruct_cut", {"options": options})
+
+    def _resumes(self, run: Path) -> bool:
+        return self.resume and (run / "run.json").is_file()
+
+    def _start(self, scene: bpy.types.Scene) -> Job:
+        dataset, run = self._folders()
         place = result_import.place_of(scene, scene.irgspp.source, scene.irgspp.pack)
         on_done = "import_result" if self.import_result and not self.wait else None
         save_masks()  # else the reconstruction would read them without what was painted last
@@ -102,7 +136,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
 
     def _arguments(self, scene: bpy.types.Scene, dataset: Path, run: Path) -> list[str]:
         words = ["reconstruct", str(dataset), "-o", str(run)]
-        if self.resume and (run / "run.json").is_file():
+        if self._resumes(run):
             return [*words, "--resume"]  # with the settings that it was started with
         if (run / "run.json").is_file() and not self.overwrite:
             raise InputError(run, "holds another run", "resume it, overwrite it, or name another folder")
@@ -111,6 +145,13 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         words += capture_words(panel.capture_marker, panel.capture_turntable) if find_bare_photographs(dataset) else []
         words += [word for setting in bound_settings(scene, dataset) for word in ("--set", setting)]
         return words + set_words(self.settings) + (["--overwrite"] if self.overwrite else [])
+
+
+def reconstruct_cut(job: Job) -> None:
+    """Reconstruct a capture whose object was cut out for it."""
+    with result_import.started_from(job, f"reconstruct {job.folder} there") as scene:
+        use_capture(scene, job, wait=False)
+        bpy.ops.irgspp.reconstruct("EXEC_DEFAULT", True, was_cut=True, wait=False, **job.data["options"])
 
 
 class IRGSPP_OT_demo(Queued, bpy.types.Operator):
@@ -141,20 +182,6 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
         return ended
 
 
-def capture_words(metres: float, turntable: str) -> list[str]:
-    """Return command-line arguments for the size of a marker in metres, 0 for none, and for a turntable: auto, on or off."""
-    words = ["--set", f"capture.marker={metres:.6g}"] if metres > 0 else []
-    return words + (["--set", f"capture.turntable={turntable}"] if turntable != "auto" else [])
-
-
-def set_words(settings: str) -> list[str]:
-    """Return command-line arguments for `key=value key=value`; raise InputError where quotation marks don't match."""
-    try:
-        return [word for setting in shlex.split(settings) for word in ("--set", setting)]
-    except ValueError as error:
-        raise InputError(f"settings {settings!r}", f"can't be read ({error})", "write key=value, separated by spaces") from error
-
-
 def demo_folder() -> Path:
     """Return the default run folder of the demo."""
     return jobs.jobs_folder().parent / "demo"
@@ -168,3 +195,13 @@ def import_now(scene: bpy.types.Scene, run: Path) -> set[str]:
         run: run folder.
     """
     return bpy.ops.irgspp.import_run(directory=str(run), material=scene.irgspp.source, pack=scene.irgspp.pack)
+
+
+def register() -> None:
+    """Register the function that a finished cut calls."""
+    jobs.ON_DONE["reconstruct_cut"] = reconstruct_cut
+
+
+def unregister() -> None:
+    """Unregister it."""
+    jobs.ON_DONE.pop("reconstruct_cut", None)

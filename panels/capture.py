@@ -9,9 +9,11 @@ import bpy
 
 from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.capture_file import CaptureSummary
+from ..irgspp_addon.importer.object_sphere import cut_settings
 from ..irgspp_addon.importer.photographs import BarePhotographs
+from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import beside
-from .capture_state import bare_photographs
+from .capture_state import bare_photographs, capture_of
 from .job_card import draw_last
 from .run_state import resolved
 from .sidebar import button, say, settings_column
@@ -76,9 +78,30 @@ def draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context, dataset
         say(box, context, f"Left out {name}: {reason}", icon="ERROR")
     if len(capture.left_out) > SHOWN:
         say(box, context, f"and {len(capture.left_out) - SHOWN} more; the report names them", icon="BLANK1")
+    draw_cut(box, context, dataset)
     row = box.row(align=True)
     button(row, "wm.path_open", "Report", "URL", filepath=str(dataset / "report.html"))
     button(row, "irgspp.show_image", "Contact Sheet", "IMAGE_DATA", filepath=str(dataset / "contact_sheet.png"))
+
+
+def draw_cut(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path) -> None:
+    """Draw the button that cuts another object out where the sphere was moved, and the job that does it.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        dataset: folder of a finished capture.
+    """
+    place = resolved(dataset) or dataset
+    cuts = [job for job in jobs.all_jobs() if job.kind == "capture" and job.data.get("run") == str(place)]
+    if cuts and cuts[0].state != "done":  # else it has nothing to tell that the rows do not
+        draw_last(layout, context, "capture", place)
+    if cuts and not cuts[0].finished:
+        return
+    if cut_settings(context.scene, dataset, capture_of(dataset)):
+        column = layout.column()
+        column.enabled = engine.status().usable
+        button(column, "irgspp.capture", "Cut Out Again", "SPHERE", directory=str(dataset))
 
 
 def capture_rows(capture: CaptureSummary) -> list[tuple[str, str]]:

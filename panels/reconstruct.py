@@ -8,10 +8,10 @@ from pathlib import Path
 import bpy
 
 from ..irgspp_addon.engine import process as engine
-from ..irgspp_addon.importer.object_sphere import find_sphere, is_changed
+from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere, is_changed
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from .capture_state import bare_photographs, problem_of
+from .capture_state import bare_photographs, capture_of, problem_of
 from .dataset import parsed
 from .job_card import BEGAN, RECONSTRUCTIONS, can_resume, draw_job
 from .run_state import resolved, run_state
@@ -86,21 +86,26 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
     elif not problem:  # which the panel above tells
         if status:
             say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
-        draw_sphere(layout, context)
+        draw_sphere(layout, context, stopped)
         draw_estimate(layout, context)
 
 
-def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, stopped: bool) -> None:
     """Draw what is reconstructed: photographs without cameras, or the contents of the object's sphere.
 
     Args:
         layout: to draw into.
         context: of the panel.
+        stopped: the run in the folder can be resumed.
     """
     dataset = context.scene.irgspp.dataset_path()
     sphere = find_sphere(context.scene, resolved(dataset))
     if bare_photographs(dataset) is not None:
         say(layout, context, "The cameras are found first.", icon="INFO")
+    elif sphere is not None and dataset is not None and cut_settings(context.scene, dataset, capture_of(dataset)):
+        say(layout, context, f"What is inside the sphere {sphere.name} is cut out of the photographs first.", icon="SPHERE")
+        if stopped:
+            say(layout, context, "Resume goes on with the object that the run began with.", icon="INFO")
     elif sphere is not None and is_changed(sphere):
         say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
     elif sphere is not None and not sphere.hide_viewport:

@@ -25,6 +25,7 @@ from ..operators import asset_mark, import_dataset, light, live_shape, look_thro
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import jobs as job_operators
+from ..operators import reconstruct as reconstruct_operators
 from ..operators import relight as relight_operators
 from ..operators import result as result_operators
 from ..operators.import_run import IRGSPP_OT_import_run, draw_import
@@ -84,6 +85,7 @@ def register() -> None:
     bpy.types.STATUSBAR_HT_header.append(headline.draw_status)
     import_dataset.register()
     capture_operators.register()
+    reconstruct_operators.register()
     result_operators.register()
     relight_session.register()
     relight_follow.register()
@@ -101,6 +103,7 @@ def unregister() -> None:
     relight_follow.unregister()
     relight_session.unregister()
     result_operators.unregister()
+    reconstruct_operators.unregister()
     capture_operators.unregister()
     import_dataset.unregister()
     bpy.types.STATUSBAR_HT_header.remove(headline.draw_status)

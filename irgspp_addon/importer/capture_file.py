@@ -25,6 +25,7 @@ class CaptureSummary:
         masked: number of photographs with a mask.
         doubtful: names of photographs with an uncertain mask.
         true_size: True where a unit is a metre.
+        bound: centre and radius, (4,), of the object's sphere; None where nothing was cut out.
     """
 
     status: str
@@ -34,6 +35,7 @@ class CaptureSummary:
     masked: int = 0
     doubtful: tuple[str, ...] = ()
     true_size: bool = False
+    bound: tuple[float, ...] | None = None
 
 
 def read_capture(folder: Path) -> CaptureSummary | None:
@@ -60,4 +62,5 @@ def _summary(state: dict[str, Any]) -> CaptureSummary:
         sum(kind != "none" for kind in masks.values()),
         tuple(name for name, kind in masks.items() if kind not in CERTAIN),
         state["metres_per_unit"] is not None,
+        None if state["bound"] is None else (*map(float, state["bound"]["centre"]), float(state["bound"]["radius"])),
     )

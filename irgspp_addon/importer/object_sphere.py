@@ -9,6 +9,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from .capture_file import CaptureSummary, read_capture
 from .ownership import KEY, Owner, put
 from .placement import TO_WORLD
 
@@ -65,6 +66,33 @@ def is_changed(sphere: bpy.types.Object) -> bool:
 def bound_settings(scene: bpy.types.Scene, dataset: Path) -> list[str]:
     """Return `data.centre=x,y,z` and `data.radius=r` in the dataset's own frame, if the user has changed its sphere; else nothing.
 
+    Of captures nothing, either: there the sphere chooses the object, which `cut_settings` tells.
+
+    Args:
+        scene: scene with the imported dataset.
+        dataset: path of the dataset.
+    """
+    sphere = None if read_capture(dataset) else changed_sphere(scene, dataset)
+    return [] if sphere is None else _settings("data", *sphere)
+
+
+def cut_settings(scene: bpy.types.Scene, dataset: Path, capture: CaptureSummary | None) -> list[str]:
+    """Return `capture.centre=x,y,z` and `capture.radius=r` if the object of a finished capture is not that of its sphere; else nothing.
+
+    Args:
+        scene: scene with the imported capture.
+        dataset: path of the capture.
+        capture: its summary; None for a dataset that is none.
+    """
+    sphere = changed_sphere(scene, dataset) if capture is not None and capture.status == "done" else None
+    if capture is None or sphere is None or _equal(*sphere, capture.bound):
+        return []
+    return _settings("capture", *sphere)
+
+
+def changed_sphere(scene: bpy.types.Scene, dataset: Path) -> tuple[np.ndarray, float] | None:
+    """Return centre (3,) and radius of a dataset's sphere in the dataset's own frame, if the user has changed it; else None.
+
     Args:
         scene: scene with the imported dataset.
         dataset: path of the dataset.
@@ -72,12 +100,20 @@ def bound_settings(scene: bpy.types.Scene, dataset: Path) -> list[str]:
     sphere = find_sphere(scene, dataset.resolve())
     root = None if sphere is None else _root(sphere)
     if sphere is None or root is None or not is_changed(sphere):
-        return []
+        return None
     centre, radius = _bound(sphere)
     to_own = np.linalg.inv(np.array(root[TO_WORLD], float).reshape(4, 4))
-    x, y, z = to_own[:3, :3] @ centre + to_own[:3, 3]
-    own_radius = radius * float(np.cbrt(np.linalg.det(to_own[:3, :3])))
-    return [f"data.centre={x:.7g},{y:.7g},{z:.7g}", f"data.radius={own_radius:.7g}"]
+    return to_own[:3, :3] @ centre + to_own[:3, 3], radius * float(np.cbrt(np.linalg.det(to_own[:3, :3])))
+
+
+def _settings(group: str, centre: np.ndarray, radius: float) -> list[str]:
+    x, y, z = centre
+    return [f"{group}.centre={x:.7g},{y:.7g},{z:.7g}", f"{group}.radius={radius:.7g}"]
+
+
+def _equal(centre: np.ndarray, radius: float, bound: tuple[float, ...] | None) -> bool:
+    """Return True where a sphere is a bound: centre and radius, (4,)."""
+    return bound is not None and bool(np.abs(np.array([*centre, radius]) - bound).max() <= TOLERANCE * bound[3])
 
 
 def _bound(sphere: bpy.types.Object) -> tuple[np.ndarray, float]:

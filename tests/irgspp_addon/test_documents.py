@@ -47,7 +47,7 @@ def test_table_of_operators_is_complete():
     documented = {name: words for names, words in rows for name in re.findall(r"`(\w+)`", names)}
     internal = {"import_dropped", "relight_stop", "open_engine_folder", "mask_brush", "show_image"}
     assert set(documented) == {name for name in OPERATORS if name not in internal and not name.startswith(("panel_", "choose_"))}
-    hidden = {"wait", "was_read", "check_existing", "filter_glob", "filter_folder"}
+    hidden = {"wait", "was_read", "was_cut", "check_existing", "filter_glob", "filter_folder"}
     for name, words in documented.items():
         assert properties(OPERATORS[name]) - hidden <= set(re.findall(r"\w+", words)), name
 

@@ -245,3 +245,70 @@ def test_a_marker_is_told_for_photographs_without_cameras_alone(photos, captured
     bpy.context.scene.irgspp.capture_marker = 0.05
     assert "capture.marker=0.05" in asked(monkeypatch, dataset=str(photos))
     assert "capture.marker=0.05" not in asked(monkeypatch, dataset=str(captured))
+
+
+# --- the sphere of a capture, which chooses the object
+
+
+@pytest.fixture
+def moved_sphere(photos):
+    """A finished capture that is imported, and its sphere, which was moved and scaled afterwards."""
+    bpy.ops.irgspp.capture(directory=str(photos), wait=True)
+    folder = photos.with_name("photos_capture")
+    sphere = sphere_of(folder)
+    sphere.location.x += 0.25
+    sphere.scale = (0.5, 0.5, 0.5)
+    return folder, sphere
+
+
+def test_a_moved_sphere_of_a_capture_cuts_the_object_out_again(moved_sphere):
+    folder, sphere = moved_sphere
+    assert bpy.ops.irgspp.capture(directory=str(folder), wait=True) == {"FINISHED"}
+    cut = next(job for job in jobs.all_jobs() if job.title == "Cut out the object of photos_capture")
+    centre = ",".join(f"{value:.7g}" for value in sphere.location)
+    assert cut.arguments == ["capture", str(folder), "--set", f"capture.centre={centre}", "--set", "capture.radius=0.5"]
+    assert sphere_of(folder) == sphere and not is_changed(sphere)  # it is the capture's own now
+    assert np.allclose(sphere.location, np.add(CENTRE, (0.25, 0, 0)), atol=1e-5)
+
+
+def test_reconstruct_cuts_the_object_out_first(moved_sphere, monkeypatch):
+    folder, sphere = moved_sphere
+    told, real = [], jobs.start
+
+    def start(kind, title, place, arguments, *rest, **more):
+        told.append(arguments)
+        if kind == "reconstruct":
+            raise IrgsppError("stop here")
+        return real(kind, title, place, arguments, *rest, **more)
+
+    monkeypatch.setattr(jobs, "start", start)
+    options = {"dataset": str(folder), "preset": "draft", "seed": 4, "settings": "surface.texture=64"}
+    with pytest.raises(RuntimeError, match="stop here"):
+        bpy.ops.irgspp.reconstruct(wait=True, **options)
+    assert [words[0] for words in told] == ["capture", "inspect", "reconstruct"] and "capture.radius=0.5" in told[0]
+    assert not any("centre" in word for word in told[-1]) and told[-1][-1] == "surface.texture=64"
+    told.clear()
+    sphere.location.x += 0.25
+    assert bpy.ops.irgspp.reconstruct(wait=False, **options) == {"FINISHED"}  # a button: the reconstruction follows on the cut
+    until(lambda: any(words[0] == "reconstruct" for words in told))
+    assert [words[0] for words in told if words[0] != "inspect"] == ["capture", "reconstruct"]
+    (words,) = [words for words in told if words[0] == "reconstruct"]
+    assert words[words.index("--preset") + 1] == "draft" and words[words.index("--seed") + 1] == "4"
+
+
+def test_a_run_that_is_refused_cuts_nothing(moved_sphere, tmp_path):
+    folder, _ = moved_sphere
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "run.json").write_text("{}")
+    with pytest.raises(RuntimeError, match="holds another run"):
+        bpy.ops.irgspp.reconstruct(dataset=str(folder), run=str(run), wait=False)
+    assert not any(job.title.startswith("Cut out") for job in jobs.all_jobs())
+
+
+def test_resuming_goes_on_with_the_object_of_the_run(moved_sphere, monkeypatch, tmp_path):
+    folder, _ = moved_sphere
+    run = tmp_path / "run"
+    run.mkdir()
+    (run / "run.json").write_text("{}")
+    assert asked(monkeypatch, dataset=str(folder), run=str(run), resume=True)[-1] == "--resume"

@@ -12,6 +12,7 @@ from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.importer.mask_image import MASK
 from irgspp.irgspp_addon.importer.object_sphere import BOUND
 from irgspp.irgspp_addon.importer.ownership import KEY
+from irgspp.irgspp_addon.importer.placement import TO_WORLD
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.irgspp_addon.properties import show_jobs
@@ -128,8 +129,27 @@ def test_the_sphere_is_named_where_it_counts(settings, tmp_path, monkeypatch):
     sphere[KEY], sphere[BOUND] = f"{(tmp_path / 'x_capture').resolve()}#object", [0.0, 0.0, 0.0, 1.0]
     sphere.empty_display_size = 1.0
     assert 'Move or scale the sphere "x object"' in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    root = bpy.data.objects.new("x frame", None)
+    sphere.parent, root[TO_WORLD] = root, [1.0, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
     sphere.location.x = 0.1
+    assert "What is inside the sphere x object is cut out of the photographs first" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    (button,) = draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    assert (button.text, button.values) == ("Cut Out Again", {"directory": settings.dataset})
+    write_capture(tmp_path / "x_capture", bound={"centre": [0.1, 0, 0], "radius": 1.0})  # it has been cut out
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
     assert "What is inside the sphere x object is reconstructed" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+
+
+def test_the_job_that_cuts_again_is_shown(settings, tmp_path):
+    folder = write_capture(tmp_path / "x_capture").resolve()
+    settings.dataset = str(folder)
+    job = Job("j1", "capture", "Cut out the object of x_capture", folder, tmp_path, state="running", phase="dense points", step=1, of=4)
+    job.data, job.made = {"run": str(folder)}, time.time() + 1
+    jobs._jobs[job.id] = job
+    assert "Cut out the object of x_capture" in draw(dataset.IRGSPP_PT_dataset).words
+    job.state = "done"
+    assert "Cut out the object of x_capture" not in draw(dataset.IRGSPP_PT_dataset).words
 
 
 def test_masks_are_edited_from_a_captured_camera(settings, tmp_path):

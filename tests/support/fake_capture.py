@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Substitute for `irgspp capture PHOTOS -o FOLDER ...` in a job: copies the captured dataset that $IRGSPP_CAPTURED names.
 
-Without a file `go` in PHOTOS it waits until it is cancelled.
+Without a file `go` in PHOTOS it waits until it is cancelled. Where PHOTOS is a capture, only its sphere is changed, as
+`--set capture.centre=... --set capture.radius=...` say.
 """
 
 import json
@@ -29,5 +30,15 @@ def main(photographs: Path, folder: Path) -> int:
     return 0
 
 
+def cut_again(folder: Path, words: list[str]) -> int:
+    state = json.loads((folder / "capture.json").read_text())
+    values = dict(word.removeprefix("capture.").split("=") for word in words if word.startswith("capture."))
+    state["bound"] = {"centre": [float(value) for value in values["centre"].split(",")], "radius": float(values["radius"])}
+    (folder / "capture.json").write_text(json.dumps(state))
+    return 0
+
+
 if __name__ == "__main__":
+    if (Path(sys.argv[2]) / "capture.json").exists():
+        sys.exit(cut_again(Path(sys.argv[2]), sys.argv[3:]))
     sys.exit(main(Path(sys.argv[2]), Path(sys.argv[sys.argv.index("-o") + 1])))
