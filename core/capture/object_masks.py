@@ -83,7 +83,7 @@ def cut_out(
         InputError: the user's sphere holds no point of the scene.
         Cancelled: the user stopped the work.
     """
-    given, background = given or {}, background or {}
+    given, background = _not_empty(given or {}, progress), background or {}
     if not settings.masks or len(views) < MIN_MASKS:
         return None
     cameras = [view.camera for view in views]
@@ -117,6 +117,15 @@ def cut_out(
     for line in found.messages:
         progress.message(line)
     return found
+
+
+def _not_empty(given: dict[str, np.ndarray], progress: Progress) -> dict[str, np.ndarray]:
+    """Return the user's masks that show something. Empty ones would carve the object away; a line names their photographs."""
+    empty = sorted(name for name, mask in given.items() if mask.max() < 0.5)
+    if empty:
+        names = ", ".join(empty[:5]) + (f" and {len(empty) - 5} others" if len(empty) > 5 else "")
+        progress.message(f"masks: the masks of {names} are empty; these photographs are cut out like those without a mask")
+    return {name: mask for name, mask in given.items() if name not in empty}
 
 
 def _region(

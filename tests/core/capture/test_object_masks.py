@@ -69,6 +69,15 @@ def test_missing_masks_are_completed(table_scene, known_points):
     assert [name for name, _ in found.doubtful] == ["view01"]
 
 
+def test_empty_masks_carve_nothing_away(table_scene, known_points):
+    given, lines = {name: mask * (i >= 4) for i, (name, mask) in enumerate(table_scene.masks.items())}, Lines()
+    found = cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, lines, given=given)
+    assert found is not None
+    assert overlaps(found, table_scene).min() > 0.9
+    assert found.doubtful == []
+    assert "masks: the masks of view00, view01, view02, view03 are empty" in lines.lines[0]
+
+
 def test_a_facade_is_not_cut_out():
     """A wall that fills the pictures, photographed from one side."""
     wall = Solid((-0.5, 0.0, 0.0), (0.5, 9.0, 9.0), (0.5, 0.45, 0.4))
