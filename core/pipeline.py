@@ -17,6 +17,7 @@ from .capture.source import needs_capture
 from .datasets.demo import DEMO_DATA, DEMO_OVERRIDES  # noqa: F401 (offered to callers of `reconstruct`)
 from .datasets.load import load_dataset
 from .detail.albedo_detail import detailed_by_dataset
+from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
 from .machine.blender_process import NoBlender
