@@ -20,20 +20,21 @@ from .detail.albedo_detail import detailed_by_dataset
 from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
+from .io.run_files import CAPTURE, check_claim
 from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
 from .machine.cpu_memory import check_texture_memory
 from .machine.devices import ChosenDevice, choose_device, computing_on
-from .machine.disk_space import check_disk_space, check_texture_disk_space
+from .machine.disk_space import check_disk_space
 from .machine.job_time import estimate_seconds, in_words, record_job
 from .machine.peak_memory import peak_memory, reset_peak_memory
-from .machine.texture_size import TextureSize, choose_texture_size
+from .machine.texture_size import TextureSize, check_textures, choose_texture_size
 from .progress.protocol import Progress, Silent
 from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
 from .relight.relight_settings import RelightSettings
 from .rendering.gbuffer_cache import GBufferCache
-from .run_folder import CAPTURE, RunFolder, check_claim, read_run
+from .run_folder import RunFolder, read_run
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .scene.reconstruction import Reconstruction
@@ -148,20 +149,6 @@ def _capture(photographs: Path, folder: RunFolder, settings: Settings, progress:
         capture(photographs, folder.path / CAPTURE, settings.capture, settings.seed, progress)
 
     folder.run_phase("capture", work, progress)
-
-
-def check_textures(run: Path, settings: Settings) -> None:
-    """Check what is known before the photographs are read: that the textures fit into memory and on the disk.
-
-    Args:
-        run: run folder, which need not exist yet.
-        settings: of the job.
-
-    Raises:
-        InputError: if they do not.
-    """
-    check_texture_memory(settings.surface.texels, 0)
-    check_texture_disk_space(run, settings.surface)
 
 
 def _recorded_size(run: Path) -> TextureSize | None:

@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import time
 import traceback
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
@@ -17,47 +16,17 @@ from .errors import Cancelled, InputError, IrgsppError
 from .io.atomic import write_atomic
 from .io.checkpoint import load_checkpoint, save_checkpoint
 from .io.file_lock import FileLock
+from .io.run_files import CAPTURE, CHECKPOINT, LOCK, OLD_CHECKPOINT, check_claim, clear
 from .io.run_json import read_run
 from .machine.out_of_resources import translate_errors
 from .machine.peak_memory import peak_memory, reset_peak_memory
+from .machine.versions import versions
 from .progress.event_log import EventLog
 from .progress.protocol import Progress
 from .settings.overrides import differences, from_dict, to_dict
 from .settings.schema import Settings
 
-RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
-RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
-CAPTURE = "capture"  # folder of the captured dataset, where photographs came without cameras
-FOLDERS = (CAPTURE, "checkpoint", "textures", "evaluation", "photographs", "previews")
-LOGS = ("events.jsonl", "log.txt", "cancel", "finish")
 SPHERE = ("capture.centre", "capture.radius")  # settings that may change when a run is resumed: the object is then cut out again
-LOCK = ".lock"
-OLD_CHECKPOINT, CHECKPOINT = "reflective.pt", "first_stage.pt"  # of the first stage, in version 0.1 and now
-UNSTARTED = (LOCK, ".run.part.json")  # all files of a run that was killed before it wrote run.json
-
-
-def check_claim(path: Path, resume: bool, overwrite: bool) -> None:
-    """Check that a run can be written to a folder.
-
-    Args:
-        path: run folder; it need not exist.
-        resume: a run in it is to be continued.
-        overwrite: a run in it is to be replaced.
-
-    Raises:
-        InputError: `path` is a file, is not writable, or holds something else or a run that is neither resumed nor replaced.
-    """
-    parent = next(p for p in (path, *path.absolute().parents) if p.exists())
-    if not parent.is_dir():
-        raise InputError(path, f"can't be made, {parent} is a file" if parent != path else "is a file, not a folder")
-    if not os.access(parent, os.W_OK | os.X_OK):
-        raise InputError(path, "is not writable")
-    if not path.exists() or not any(p.name not in UNSTARTED for p in path.iterdir()):
-        return
-    if not (path / "run.json").is_file():
-        raise InputError(path, "is not empty and not a run folder", "name another folder")
-    if not resume and not overwrite:
-        raise InputError(path, "holds another run", "resume it with --resume, replace it with --overwrite, or name another folder")
 
 
 class RunFolder(EventLog):
@@ -303,29 +272,3 @@ def _resumed(path: Path, settings: Settings, dataset: str) -> dict[str, Any]:
     if old.is_file():
         old.replace(old.with_name(CHECKPOINT))
     return state
-
-
-def clear(path: Path, kept: Sequence[str] = ()) -> None:
-    """Remove a run's own files from its folder and nothing else; run.json stays, since it marks the folder as a run folder.
-
-    Args:
-        path: run folder.
-        kept: folders that stay, too.
-    """
-    for name in FOLDERS:
-        if name not in kept:
-            shutil.rmtree(path / name, ignore_errors=True)
-    for name in (*RESULTS, *LOGS):
-        (path / name).unlink(missing_ok=True)
-
-
-def versions() -> dict[str, str]:
-    """Return the versions of everything that the result depends on, without packages that are not installed."""
-    import platform
-    from importlib import metadata
-
-    found = {"python": platform.python_version(), "platform": platform.platform()}
-    for name in ("irgspp", "torch", "numba", "numpy", "scipy", "scikit-image", "xatlas", "embreex", "bpy", "warp-lang"):
-        with suppress(metadata.PackageNotFoundError):
-            found[name] = metadata.version(name)
-    return found

@@ -8,7 +8,7 @@ from pathlib import Path
 from ..datasets.format_detection import NoDataset, parse_dataset
 from ..datasets.formats.captured import FILE, load_capture
 from ..errors import InputError
-from ..run_folder import CAPTURE
+from ..io.run_files import CAPTURE
 from ..settings.schema import DataSettings
 from .photograph_files import VIDEOS, has_photographs
 

@@ -8,9 +8,9 @@ from pathlib import Path
 
 import numpy as np
 
-from ..capture.source import FOLDER
 from ..datasets.format_detection import parse_dataset
 from ..datasets.formats.captured import SURROUNDINGS
+from ..io.run_files import CAPTURE
 from ..io.srgb import encode_srgb
 from ..run_folder import read_run
 from ..scene.camera_files import load_run_cameras
@@ -99,7 +99,7 @@ def compare_lights(
 
 def _surroundings(run: Path, reconstruction: Reconstruction) -> Surroundings | None:
     """Return the surfaces around the object that its capture found, in the world of the run; None where none are on the disk."""
-    for folder in (run / FOLDER, Path(read_run(run)["dataset"])):
+    for folder in (run / CAPTURE, Path(read_run(run)["dataset"])):
         if (folder / SURROUNDINGS).is_file():
             parsed = parse_dataset(folder, DataSettings())
             to_run = reconstruction.to_world @ np.linalg.inv(parsed.to_world)

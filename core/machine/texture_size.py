@@ -9,8 +9,8 @@ from pathlib import Path
 from ..scene.dataset import Dataset
 from ..settings.schema import Settings
 from ..settings.sizes import takes_photograph_detail, texels_along, with_texture_size
-from .cpu_memory import free_memory, resident_memory, texture_memory
-from .disk_space import estimate_disk_space, free_disk_space
+from .cpu_memory import check_texture_memory, free_memory, resident_memory, texture_memory
+from .disk_space import check_texture_disk_space, estimate_disk_space, free_disk_space
 from .job_time import larger_texture_seconds
 
 SMALLEST = 512  # texels along a side below which no shortage lowers the choice: the draft preset's
@@ -33,6 +33,20 @@ class TextureSize:
     def line(self) -> str:
         """Return the choice as one line for the user."""
         return f"textures of {self.size} texels: {self.why}"
+
+
+def check_textures(run: Path, settings: Settings) -> None:
+    """Check what is known before the photographs are read: that the textures fit into memory and on the disk.
+
+    Args:
+        run: run folder, which need not exist yet.
+        settings: of the job.
+
+    Raises:
+        InputError: if they do not.
+    """
+    check_texture_memory(settings.surface.texels, 0)
+    check_texture_disk_space(run, settings.surface)
 
 
 def choose_texture_size(settings: Settings, data: Dataset, run: Path) -> TextureSize:

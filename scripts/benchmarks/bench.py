@@ -18,7 +18,7 @@ from irgspp.core.errors import IrgsppError
 from irgspp.core.evaluation.ground_truth import SceneTruth, Truth, load_scene_truth, load_truth
 from irgspp.core.evaluation.report import evaluate
 from irgspp.core.machine.devices import devices
-from irgspp.core.run_folder import versions
+from irgspp.core.machine.versions import versions
 from irgspp.core.scene.dataset import Dataset, View
 from irgspp.core.settings.overrides import from_dict
 from irgspp.core.settings.schema import DataSettings

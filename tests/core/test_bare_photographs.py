@@ -12,9 +12,10 @@ from irgspp.core import pipeline
 from irgspp.core.capture import capture as capturing
 from irgspp.core.capture.source import posed_dataset
 from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.io.run_files import CAPTURE
 from irgspp.core.machine import cpu_memory
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.run_folder import CAPTURE, read_run
+from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from room_corner import cameras, take, textures

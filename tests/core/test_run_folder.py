@@ -2,6 +2,7 @@
 """Run folder: its lock, its content after every outcome of a job, checkpoints, and folders of version 0.1."""
 
 import json
+import os
 import subprocess
 import sys
 
@@ -10,7 +11,9 @@ import pytest
 import torch
 from irgspp.core import run_folder
 from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.io import run_files
 from irgspp.core.io.file_lock import FileLock
+from irgspp.core.io.run_files import check_claim
 from irgspp.core.machine.peak_memory import peak_memory, reset_peak_memory
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.progress.recorder import ProgressRecorder
@@ -76,7 +79,7 @@ def test_file_in_the_way(tmp_path, inside):
 
 
 def test_not_writable(tmp_path, monkeypatch):
-    monkeypatch.setattr(run_folder.os, "access", lambda *_: False)
+    monkeypatch.setattr(run_files.os, "access", lambda *_: False)
     with pytest.raises(InputError, match="not writable"):
         RunFolder.open(tmp_path / "run", Settings(), "photos")
     assert not (tmp_path / "run").exists()
@@ -233,7 +236,7 @@ def test_damaged_checkpoint_is_an_input_error(run):
 
 def test_interrupted_save_leaves_the_old_checkpoint(run, monkeypatch):
     run.save("first_stage", {"step": 1})
-    monkeypatch.setattr(run_folder.os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
+    monkeypatch.setattr(os, "fsync", lambda _: (_ for _ in ()).throw(OSError(28, "No space left on device")))
     with pytest.raises(OSError, match="No space"):
         run.save("first_stage", {"step": 2})
     assert run.load("first_stage") == {"step": 1}
@@ -283,7 +286,7 @@ def test_killed_before_run_json_was_written(tmp_path):
     (tmp_path / "run" / ".lock").touch()
     (tmp_path / "run" / ".run.part.json").write_text('{"sta')
     for resume, overwrite in ((False, False), (True, False), (False, True)):
-        run_folder.check_claim(tmp_path / "run", resume, overwrite)
+        check_claim(tmp_path / "run", resume, overwrite)
     RunFolder.open(tmp_path / "run", Settings(), "photos", resume=True).close()
 
 
