@@ -168,8 +168,9 @@ def _read(
     size = size or choose_texture_size(settings, data, run)
     settings = with_texture_size(settings, size.size)
     check_disk_space(run, settings, data.pixels(distorted=True))
+    memory = fit_into_memory(data, settings, device, progress)
     check_texture_memory(size.size, data.pixels(), data.full_size_pixels)
-    return data, fit_into_memory(data, settings, device, progress), size
+    return data, memory, size
 
 
 @dataclass

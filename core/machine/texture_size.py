@@ -11,7 +11,7 @@ from ..settings.schema import Settings
 from ..settings.sizes import takes_photograph_detail, texels_along, with_texture_size
 from .cpu_memory import check_texture_memory, free_memory, resident_memory, texture_memory
 from .disk_space import check_texture_disk_space, estimate_disk_space, free_disk_space
-from .job_time import larger_texture_seconds
+from .job_time import USUAL_TEXTURE, larger_texture_seconds
 
 SMALLEST = 512  # texels along a side below which no shortage lowers the choice: the draft preset's
 USABLE = 0.7  # fraction of the free memory and disk space that a job of a chosen size may plan with, since other programs need some, too
@@ -36,7 +36,9 @@ class TextureSize:
 
 
 def check_textures(run: Path, settings: Settings) -> None:
-    """Check what is known before the photographs are read: that the textures fit into memory and on the disk.
+    """Check what is known before the photographs are read: that large textures fit into memory, and all on the disk.
+
+    Whether there is memory for smaller ones is a part of whether there is memory for the job.
 
     Args:
         run: run folder, which need not exist yet.
@@ -45,7 +47,8 @@ def check_textures(run: Path, settings: Settings) -> None:
     Raises:
         InputError: if they do not.
     """
-    check_texture_memory(settings.surface.texels, 0)
+    if settings.surface.texels > USUAL_TEXTURE:
+        check_texture_memory(settings.surface.texels, 0)
     check_texture_disk_space(run, settings.surface)
 
 

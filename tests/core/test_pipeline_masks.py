@@ -39,7 +39,7 @@ def cut(monkeypatch, steps):
     monkeypatch.setattr(pipeline, "quick_renderings", lambda data, settings, progress: [view.name for view in data.train])
     monkeypatch.setattr(pipeline, "cut_again", cut_again)
     folder = SimpleNamespace(save=saved.__setitem__)
-    pipeline.Job(dataset(), folder, Settings(), Silent(), None, None, True).masks()
+    pipeline.Job(dataset(), folder, Settings(), Silent(), None, None, True, 1024).masks()
     return saved[MASKS], areas
 
 
