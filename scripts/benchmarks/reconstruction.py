@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterator
 from functools import partial
 from typing import Any
@@ -128,6 +129,8 @@ def _first(bench: Bench, scene: Scene) -> Measurement:
     run = bench.run(scene, bench.balanced())
     if not (run.first / "reconstruction.json").is_file():
         raise RuntimeError(f"{run.first} is missing: the result of the first stage was not copied")
+    for name in ("cameras.json", "run.json"):  # which the job writes after its first stage, and the evaluation reads
+        shutil.copyfile(run.path / name, run.first / name)
     evaluated = bench.evaluation(scene, run.first, settings_of=run.path)["figures"]
     seconds = run.phase_seconds()
     return Measurement(_figures(evaluated) | {"seconds": seconds["read"] + seconds["first stage"]})
