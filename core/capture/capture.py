@@ -141,18 +141,18 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
-    scene, sphere = Scene(model, images, seen, settings, seed, progress), chosen_sphere(settings)
+    posed, sphere = PosedPhotographs(model, images, seen, settings, seed, progress), chosen_sphere(settings)
     found, frame = None, load_frame(folder, model, settings)
     if frame is None:
         write_json(folder / FILE, _running(inputs))  # other cameras than before: the dataset in the folder is no longer valid
     if frame is None or sphere is None:
         if sphere is not None:
             progress.message("the sphere is in the frame of the capture without it, for which the object is cut out without it first")
-        found = scene.cut_out(None)
-        frame = scene.frame(found)
+        found = posed.cut_out(None)
+        frame = posed.frame(found)
         frame.save(folder, model, settings)
     if sphere is not None:
-        found = scene.cut_out(sphere.moved(np.linalg.inv(frame.similarity)))
+        found = posed.cut_out(sphere.moved(np.linalg.inv(frame.similarity)))
     gains = exposure_gains(model, [one.view for one in images]) if seen is None else seen.gains
     turns = None if turntable is None else light_rotations(images, frame.similarity)
     all_left_out = [*left_out, *model.left_out]
@@ -167,7 +167,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
 
 
 @dataclass(frozen=True, eq=False)
-class Scene:
+class PosedPhotographs:
     """Posed photographs, out of which the object is cut.
 
     Attributes:

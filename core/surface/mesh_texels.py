@@ -105,8 +105,7 @@ def mesh_texels(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray, size: 
         part = slice(begin, begin + CHUNK)
         point = np.stack([index[part] % size + 0.5, index[part] // size + 0.5], -1)
         weights[part] = np.clip(barycentric(corners[faces[face[part]]], point)[:, 1:], 0, 1)
-    world = vertices[faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(world[:, 1] - world[:, 0], world[:, 2] - world[:, 0]), axis=-1)
+    area = _doubled_world_area(vertices, faces)
     flat = np.abs(doubled_area(corners[faces]))
     side = np.sqrt(area / np.maximum(flat, 1e-12)).astype(np.float32)
     return MeshTexels(size, index, face, weights, side)
@@ -139,8 +138,7 @@ def mean_texel_side(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray, si
         uvs: (V, 2) in 0..1.
         size: texels along a side of the texture.
     """
-    corners = vertices[faces].astype(np.float64)
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1).sum()
+    area = _doubled_world_area(vertices, faces).sum()
     texels = np.abs(doubled_area(uvs[faces].astype(np.float64))).sum() * size**2
     return float(np.sqrt(area / max(texels, 1e-12)))
 
@@ -165,6 +163,12 @@ def barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:
 def doubled_area(triangle: np.ndarray) -> np.ndarray:
     """Return twice the signed areas (F,) of triangles (F, 3, 2)."""
     return flat_cross(triangle[:, 1] - triangle[:, 0], triangle[:, 2] - triangle[:, 0])
+
+
+def _doubled_world_area(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Return twice the areas (F,) of the faces (F, 3) of vertices (V, 3) in space."""
+    corners = vertices[faces].astype(np.float64)
+    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=-1)
 
 
 def flat_cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
