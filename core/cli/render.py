@@ -27,6 +27,8 @@ if TYPE_CHECKING:
 # torch and numba are imported inside the functions, so that `irgspp --help` answers at once.
 
 MOST_FRAMES = 1_000_000
+SMALLEST_SIDE, LARGEST_SIDE = 16, 16384  # that `--resolution` takes, pixels
+LONGEST_SIDE = 1600  # of the images of a dataset's views where `--resolution` is not given, pixels: photographs of 12 MP take minutes each
 
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -88,7 +90,10 @@ def _lights(args: argparse.Namespace) -> list[tuple[Path, str | None, float, flo
 
 
 def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: Reconstruction) -> list[tuple[str, Camera]]:
-    """Return the named views of a dataset, or an orbit with the intrinsics of their first (of the run's own where none is named)."""
+    """Return the named views of a dataset, or an orbit with the intrinsics of their first (of the run's own where none is named).
+
+    Views of a dataset have the size of its photographs, not that of the reduced ones that the run was made from.
+    """
     with quick_imports():
         from ..capture.source import posed_dataset
         from ..relight.orbit import orbit
@@ -99,11 +104,14 @@ def _cameras(args: argparse.Namespace, settings: DataSettings, reconstruction: R
         raise InputError("render", "no views are given", "add --views DATASET[:split] or --orbit N")
     if args.views is not None:
         path, split = split_of(args.views)
-        cameras = cameras_of(posed_dataset(path, args.run), split, settings, reconstruction.to_world)
+        own_size = replace(settings, resolution=args.resolution or LONGEST_SIDE)
+        cameras = cameras_of(posed_dataset(path, args.run), split, own_size, reconstruction.to_world)
     else:
         cameras = [(placed.name, placed.camera) for placed in load_run_cameras(args.run / "cameras.json")]
     if args.orbit is not None:
         cameras = orbit(args.orbit, [camera for _, camera in cameras], reconstruction.bound)
+    if args.resolution is not None:
+        cameras = [(name, camera.with_longest_side(args.resolution)) for name, camera in cameras]
     if args.frames is None:
         return cameras
     if (last := max(args.frames)) >= len(cameras):
@@ -116,6 +124,8 @@ def add_options(one: argparse.ArgumentParser) -> None:
     views = "cameras of this dataset; split: train, test or all (default: the test views, or all where it has none)"
     one.add_argument("--views", metavar="DATASET[:split]", help=views)
     one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
+    side = f"longest side of the images, pixels (default: that of the cameras' photographs, at most {LONGEST_SIDE})"
+    one.add_argument("--resolution", type=_side, metavar="N", help=side)
     some = "only these views, counted from 0, such as 0-9,20: several machines can share a turntable"
     one.add_argument("--frames", type=_frames, metavar="A-B,C", help=some)
     one.add_argument("-o", dest="out", metavar="OUT", type=Path, required=True, help="folder for the images")
@@ -170,6 +180,12 @@ def _factor(text: str) -> float:
     if not 0 <= value < float("inf"):
         raise argparse.ArgumentTypeError(f"{text} must be at least 0 and finite")
     return value
+
+
+def _side(text: str) -> int:
+    if not text.isdecimal() or not SMALLEST_SIDE <= int(text) <= LARGEST_SIDE:
+        raise argparse.ArgumentTypeError(f"{text} must be a number of pixels from {SMALLEST_SIDE} to {LARGEST_SIDE}")
+    return int(text)
 
 
 def _error(text: str) -> float:

@@ -120,6 +120,15 @@ class Camera:
         sx, sy = width / self.width, height / self.height
         return replace(self, width=width, height=height, fx=self.fx * sx, fy=self.fy * sy, cx=self.cx * sx, cy=self.cy * sy)
 
+    def with_longest_side(self, side: int) -> Camera:
+        """Return the same camera for an image whose longest side has so many pixels, and the other at least one.
+
+        Args:
+            side: in pixels, >= 1.
+        """
+        factor = side / max(self.width, self.height)
+        return self.resized(max(1, round(self.width * factor)), max(1, round(self.height * factor)))
+
     def cropped(self, x: int, y: int, width: int, height: int) -> Camera:
         """Return the camera of a part of its image.
 

@@ -23,8 +23,7 @@ MIN_OPACITY = 0.5  # least opacity of a surfel that is shown as a point
 
 def preview_camera(camera: Camera) -> Camera:
     """Return the camera with an image of at most MAX_IMAGE_SIDE pixels along a side."""
-    factor = MAX_IMAGE_SIDE / max(camera.width, camera.height, MAX_IMAGE_SIDE)
-    return camera.resized(max(1, round(camera.width * factor)), max(1, round(camera.height * factor)))
+    return camera.with_longest_side(min(MAX_IMAGE_SIDE, max(camera.width, camera.height)))
 
 
 def albedo_image(reconstruction: Reconstruction, camera: Camera) -> np.ndarray:

@@ -93,12 +93,24 @@ def test_cameras_of_a_dataset_or_around_it(run):
         _cameras(parsed("--orbit", "7"), DataSettings(), scene)
 
 
+def test_views_have_the_size_of_the_photographs(run):
+    """The run was made from photographs of half their size; its views are rendered at the whole one, or at the size that is asked for."""
+    scene, made_from = Reconstruction.load(run), DataSettings(resolution=32)
+    command = ("--views", f"{DEMO_DATA}:test")
+    sizes = [
+        {(camera.width, camera.height) for _, camera in _cameras(parsed(*command, *words), made_from, scene)}
+        for words in ((), ("--resolution", "48"), ("--resolution", "100"))
+    ]
+    assert sizes == [{(64, 64)}, {(48, 48)}, {(100, 100)}]
+
+
 @pytest.mark.parametrize(
     ("words", "complaint"),
     [
         (["--samples", "0"], "samples"),
         (["--backend", "mesh"], "mesh.ply"),
         (["--orbit", "0"], "--orbit"),
+        (["--resolution", "8"], "from 16 to 16384"),
         (["--environment", "missing.hdr"], "missing.hdr"),
         (["--environment", "missing.hdr", "--strength", "-1"], "strength"),
         (["--albedo-scale", "1", "2"], "3 arguments"),

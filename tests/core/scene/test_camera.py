@@ -66,6 +66,14 @@ def test_a_resized_camera_sees_the_same(camera):
     assert np.allclose(camera.resized(62, 51).project(points)[0], camera.project(points)[0] * [2, 3])
 
 
+@pytest.mark.parametrize("side", [7, 400])
+def test_the_longest_side_is_as_given(camera, side):
+    changed = camera.with_longest_side(side)
+    shorter = round(side * min(camera.width, camera.height) / max(camera.width, camera.height))
+    assert (max(changed.width, changed.height), min(changed.width, changed.height)) == (side, max(1, shorter))
+    assert changed.fx / changed.width == pytest.approx(camera.fx / camera.width)
+
+
 def test_a_camera_moves_with_a_similarity_of_the_world(camera):
     similarity = np.eye(4)
     similarity[:3, :3] = 2 * np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]])
