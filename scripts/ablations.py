@@ -23,8 +23,7 @@ from irgspp.core.batch.jobs import Job
 from irgspp.core.errors import InputError
 from irgspp.core.evaluation.protocols import PROTOCOLS
 from irgspp.core.progress.terminal import Terminal
-from irgspp.core.relight.relighter import is_mostly_metallic
-from irgspp.core.relight.sample_counts import HQ
+from irgspp.core.relight.sample_counts import HQ, is_mostly_metallic
 from irgspp.core.run_folder import read_run, write_atomic
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import from_dict, overrides_from

@@ -15,7 +15,6 @@ from ..io.eight_bits import eight_bits
 from ..progress.protocol import Progress
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter
-from ..rendering.gbuffer import render_gbuffer
 from ..scene.dataset import Dataset, View
 from ..shading.procedural_lights import studio_light, sunset_light
 from . import visualisation
@@ -68,7 +67,8 @@ def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) 
     camera, (width, height) = view.camera, tile_size(view.camera.width, view.camera.height, TILE)
     if width < camera.width:  # a tile shows no more pixels, and views are never enlarged beyond what was trained on
         camera = camera.resized(width, height)
-    buffers, surface = render_gbuffer(relighter.reconstruction, camera), relighter.surface(camera)
+    surface = relighter.surface(camera)
+    buffers = relighter.gbuffer(camera, surface)
     own, *others = (visualisation.shaded(relighter.relit(surface, light).numpy()) for light in lights)
     photograph = visualisation.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [

@@ -21,7 +21,6 @@ from ..relight.backends import Backend, best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relight_settings import RelightSettings
 from ..relight.relighter import Relighter
-from ..rendering.gbuffer import render_gbuffer
 from ..scene.camera import Camera
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
@@ -159,7 +158,7 @@ class Evaluation:
         first = {case.number: self._compare_unscaled(case, case.number in shown) for case in self._each_case("evaluate")}
         relighter = self.relighter.with_albedo_scale(self.fits.albedo if self.protocol.relit_scaled else None)
         for case in self._each_case("relight"):
-            unlit = first.pop(case.number) or Prediction(render_gbuffer(relighter.reconstruction, case.camera), None)
+            unlit = first.pop(case.number) or Prediction(relighter.gbuffer(case.camera), None)
             prediction = replace(unlit, relit=self._relit(relighter, case))
             row = self.rows[case.number]
             row |= relit_metrics(prediction, case.truth, self.protocol, self.lpips)
@@ -197,7 +196,7 @@ class Evaluation:
     def _compare_unscaled(self, case: Case, keep: bool) -> Prediction | None:
         """Compare the layers and the image under the recovered light; return the prediction where `keep` is set."""
         own, mesh = case.view.light is None, self.relighter.mesh
-        prediction = Prediction(render_gbuffer(self.relighter.reconstruction, case.camera), self._shaded(case.camera) if own else None)
+        prediction = Prediction(self.relighter.gbuffer(case.camera), self._shaded(case.camera) if own else None)
         self.fits.gather(prediction, case.truth)
         self.rows[case.number] |= view_metrics(prediction, case.truth, self.protocol, self.lpips)
         if mesh is not None and case.truth.normal is not None:

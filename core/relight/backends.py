@@ -6,9 +6,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal
 
+import torch
+
 from ..errors import InputError
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
+from .albedo_texture import load_albedo_texture
 from .gaussian_query import GaussianQuery
 from .mesh_query import MeshQuery
 from .relight_settings import RelightSettings
@@ -22,11 +25,29 @@ def best_backend(run: Path) -> Backend:
     return "mesh" if (run / "mesh.ply").is_file() else "gaussian"
 
 
+def load_mesh_query(run: Path, radius: float, device: torch.device) -> MeshQuery | None:
+    """Load the mesh of a run, with its albedo texture where that is finer than the Gaussians; None where the run has no mesh.
+
+    Args:
+        run: run folder.
+        radius: scene radius.
+        device: device that rays come from.
+
+    Raises:
+        InputError: if a file can't be read.
+    """
+    file = run / "mesh.ply"
+    if not file.is_file():
+        return None
+    mesh = load_mesh_ply(file)
+    return MeshQuery(mesh, radius, device, load_albedo_texture(run, mesh, device))
+
+
 def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:
     """Open the relighter of a run.
 
     Args:
-        run: run folder; its mesh.ply, if any, serves secondary rays (backend "mesh") and refines the shading normals (both backends).
+        run: run folder; its mesh.ply, if any, serves secondary rays (backend "mesh") and refines normals and albedo (both backends).
         reconstruction: Gaussians and light of the run.
         backend: what secondary rays are traced on.
         settings: settings of the relighter.
@@ -34,10 +55,10 @@ def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, 
     Raises:
         InputError: when the backend needs a mesh that the run lacks, or the settings contradict each other.
     """
-    file, radius = run / "mesh.ply", reconstruction.bound.radius
-    mesh = MeshQuery(load_mesh_ply(file), radius, reconstruction.environment.device) if file.is_file() else None
+    mesh = load_mesh_query(run, reconstruction.bound.radius, reconstruction.environment.device)
     if backend == "gaussian":
         return Relighter(reconstruction, GaussianQuery(reconstruction), settings, mesh)
     if mesh is None:
-        raise InputError(file, "is missing, but --backend mesh needs it", f"create it: irgspp reconstruct DATASET -o {run} --resume")
+        fix = f"create it: irgspp reconstruct DATASET -o {run} --resume"
+        raise InputError(run / "mesh.ply", "is missing, but --backend mesh needs it", fix)
     return Relighter(reconstruction, mesh, settings, mesh)

@@ -60,6 +60,10 @@ class PrimaryHits:
         """Return some of the points, by ascending indices (K,), undivided."""
         return dataclasses.replace(self, **{name: getattr(self, name)[which] for name in self.per_point()}, divided=None)
 
+    def mean_albedo(self) -> torch.Tensor:
+        """Return the albedo (P, 3) of the pixels, of which divided ones are the mean over their rays."""
+        return self.albedo if self.divided is None else self.divided.joined(self.divided.single.albedo, self.divided.rays.albedo)
+
     @classmethod
     def per_point(cls) -> list[str]:
         """Return the names of the attributes with a row for each point."""

@@ -16,8 +16,9 @@ import torch
 from ..errors import InputError
 from ..machine.backend import by_warp
 from ..machine.gpu_memory import rays_that_fit
-from ..rendering.gbuffer import SUBPIXELS
+from ..rendering.gbuffer import SUBPIXELS, render_gbuffer
 from ..scene.camera import Camera
+from ..scene.gbuffer import GBuffer
 from ..scene.lamps import Lamp
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Brdf
@@ -34,7 +35,7 @@ from .prepared_light import PreparedLight
 from .primary_hits import DividedHits, PrimaryHits, divided_hits, primary_hits
 from .ray_cache import CachedRays, RayCounter
 from .relight_settings import RelightSettings
-from .sample_counts import SampleCounts, pixel_shifts, sample_counts
+from .sample_counts import SampleCounts, is_mostly_metallic, pixel_shifts, sample_counts
 from .secondary_query import SurfaceQuery
 from .vertex_transfer import VertexTransfer
 from .visibility_cache import VisibilityCache, build_visibility_cache
@@ -51,7 +52,7 @@ class Relighter:
         reconstruction: Gaussians that cameras see.
         query: scene for secondary rays.
         settings: settings of the images.
-        mesh: mesh whose normals refine those of the Gaussians, or None.
+        mesh: mesh whose normals and texture refine normals and albedo of the Gaussians, or None.
 
     Attributes:
         brdf: reflectance model of the images.
@@ -100,19 +101,36 @@ class Relighter:
     def surface(self, camera: Camera) -> PrimaryHits:
         """Return the surface that a camera sees, to be lit by `relit` under one or several lights."""
         if not self.settings.divide:
-            return self._with_normals_and_origins(primary_hits(self.reconstruction, camera, self._scale))
+            return self._refined(primary_hits(self.reconstruction, camera, self._scale))
         surface, rays = divided_hits(self.reconstruction, camera, self._scale)
-        surface = self._with_normals_and_origins(surface)
+        surface = self._refined(surface)
         if not len(rays.index):
             return surface
-        return dataclasses.replace(surface, divided=DividedHits.of(surface, self._with_normals_and_origins(rays)))
+        return dataclasses.replace(surface, divided=DividedHits.of(surface, self._refined(rays)))
 
-    def _with_normals_and_origins(self, surface: PrimaryHits) -> PrimaryHits:
-        """Return a surface with refined normals, and with origins of secondary rays."""
+    def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None) -> GBuffer:
+        """Return the G-buffer of a camera, with the albedo of the mesh's texture where `surface` has it, but without its factor.
+
+        Args:
+            camera: the camera.
+            surface: the surface that it sees, from `surface`, where that is known.
+        """
+        buffers = render_gbuffer(self.reconstruction, camera)
+        if self.mesh is None or self.mesh.albedo is None:
+            return buffers
+        surface = surface or self.surface(camera)
+        albedo = torch.from_numpy(buffers.albedo).flatten(0, 1).clone()
+        albedo[surface.index.cpu()] = (surface.mean_albedo() / self._scale.clamp_min(1e-6)).cpu()
+        return dataclasses.replace(buffers, albedo=albedo.view(buffers.albedo.shape).numpy())
+
+    def _refined(self, surface: PrimaryHits) -> PrimaryHits:
+        """Return a surface with refined normals and albedo, and with origins of secondary rays."""
         if self.brdf == "irgs":  # it has no metal
             surface = dataclasses.replace(surface, metallic=torch.zeros_like(surface.metallic))
         if self.mesh is not None and self.settings.mesh_normals > 0:
             surface = self.mesh.refined(surface, self.settings.mesh_normals)
+        if self.mesh is not None:
+            surface = self.mesh.textured(surface, self._scale)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
     def relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp] = ()) -> torch.Tensor:
@@ -271,14 +289,3 @@ class Relighter:
         if self.settings.skip.reuse_visibility == "off" or self.settings.sampling != "mis":
             return CachedRays(points, shift, rays, VisibilityCache.unknown(len(shift)))
         return CachedRays(points, shift, rays, build_visibility_cache(drawn.direction, rays, surface.index[part], surface.camera.width))
-
-
-def is_mostly_metallic(reconstruction: Reconstruction) -> bool:
-    """Return True where the mean metallic of the Gaussians, weighted by opacity and area, exceeds 0.5.
-
-    Light reaches such a surface from few directions, so that fewer samples suffice.
-    """
-    g = reconstruction.gaussians
-    with torch.no_grad():
-        weight = g.opacity.sigmoid() * (g.log_scale.sum(0)).exp()  # area
-        return float((weight * g.materials()[4]).sum() / weight.sum().clamp_min(1e-30)) > 0.5

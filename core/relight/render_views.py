@@ -18,7 +18,6 @@ from ..io.eight_bits import eight_bits
 from ..io.exr import rgb_channels, write_exr
 from ..io.srgb import straight_srgb
 from ..progress.protocol import Progress, Silent
-from ..rendering.gbuffer import render_gbuffer
 from ..rendering.layers import LAYERS
 from ..run_folder import write_atomic
 from ..scene.camera import Camera
@@ -127,13 +126,13 @@ def render_views(
             folder.mkdir(parents=True, exist_ok=True)
         except OSError as error:
             raise InputError(folder, f"can't be created ({error.strerror})") from error
-        if prepared:
-            surface = relighter.surface(camera)
+        surface = relighter.surface(camera) if prepared else None
+        if surface is not None:
             for light_name, light in prepared:
                 _raise_if_cancelled(progress, i, len(cameras))
                 write_rgba(folder / (f"rgba_{light_name}" if light_name else "rgba"), relighter.relit(surface, light, lamps).numpy())
         if set(layers) - {"rgba"}:
-            write_layers(folder, render_gbuffer(relighter.reconstruction, camera), layers)
+            write_layers(folder, relighter.gbuffer(camera, surface), layers)
         progress.step(i + 1)
         _raise_if_cancelled(progress, i + 1, len(cameras))
 

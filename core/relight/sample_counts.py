@@ -8,6 +8,7 @@ from typing import NamedTuple
 import torch
 
 from ..errors import InputError
+from ..scene.reconstruction import Reconstruction
 
 # Proportions of the strategies. Unoccluded diffuse light is known exactly (estimate.py), so most samples look for shadows of bright light.
 DIELECTRIC, METALLIC = (1, 1, 2), (1, 4, 3)  # metal has no diffuse lobe, which cosine samples are for
@@ -70,3 +71,14 @@ def pixel_shifts(index: torch.Tensor, width: int) -> torch.Tensor:
     u = column * R2[0] + row * R2[1]
     v = column * 0.8191725133961645 + row * 0.6710436067037893 + 0.5
     return torch.stack([u - u.floor(), v - v.floor()], -1).float().clamp_max(1 - 1e-7)
+
+
+def is_mostly_metallic(reconstruction: Reconstruction) -> bool:
+    """Return True where the mean metallic of the Gaussians, weighted by opacity and area, exceeds 0.5.
+
+    Light reaches such a surface from few directions, so that fewer samples suffice.
+    """
+    g = reconstruction.gaussians
+    with torch.no_grad():
+        weight = g.opacity.sigmoid() * (g.log_scale.sum(0)).exp()  # area
+        return float((weight * g.materials()[4]).sum() / weight.sum().clamp_min(1e-30)) > 0.5

@@ -34,10 +34,23 @@ def load_textures(folder: Path) -> dict[str, np.ndarray]:
     Raises:
         InputError: if a texture can't be read.
     """
-    return {name: _load(folder / f"{name}.png", n) for name, n in CHANNELS.items() if (folder / f"{name}.png").exists()}
+    found = {name: load_texture(folder, name) for name in CHANNELS}
+    return {name: texture for name, texture in found.items() if texture is not None}
 
 
-def _load(path: Path, channels: int) -> np.ndarray:
+def load_texture(folder: Path, name: str) -> np.ndarray | None:
+    """Read one texture in a folder, as in `Mesh.textures`; return None where it is missing.
+
+    Args:
+        folder: the folder.
+        name: one of CHANNELS.
+
+    Raises:
+        InputError: if it can't be read.
+    """
+    path, channels = folder / f"{name}.png", CHANNELS[name]
+    if not path.exists():
+        return None
     try:
         with Image.open(path) as image:
             return np.asarray(image.convert("RGB" if channels == 3 else "L"))

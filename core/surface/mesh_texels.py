@@ -105,10 +105,27 @@ def mesh_texels(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray, size: 
         part = slice(begin, begin + CHUNK)
         point = np.stack([index[part] % size + 0.5, index[part] // size + 0.5], -1)
         weights[part] = np.clip(barycentric(corners[faces[face[part]]], point)[:, 1:], 0, 1)
-    area = _doubled_world_area(vertices, faces)
-    flat = np.abs(doubled_area(corners[faces]))
-    side = np.sqrt(area / np.maximum(flat, 1e-12)).astype(np.float32)
-    return MeshTexels(size, index, face, weights, side)
+    return MeshTexels(size, index, face, weights, texel_sides(vertices, uvs, faces, size))
+
+
+def texel_sides(vertices: np.ndarray, uvs: np.ndarray, faces: np.ndarray, size: int) -> np.ndarray:
+    """Return the side (F,) float32 of a texel on each triangle, world units; 0 for a triangle without area.
+
+    Args:
+        vertices: (V, 3).
+        uvs: (V, 2) in 0..1.
+        faces: (F, 3).
+        size: texels along a side of the texture.
+    """
+    flat = np.abs(doubled_area(_texel_corners(uvs, size)[faces]))
+    return np.sqrt(_doubled_world_area(vertices, faces) / np.maximum(flat, 1e-12)).astype(np.float32)
+
+
+def _texel_corners(uvs: np.ndarray, size: int) -> np.ndarray:
+    """Return UVs (V, 2) as column and row in texels, float64, with texel centres at .5."""
+    corners = uvs.astype(np.float64) * size
+    corners[:, 1] = size - corners[:, 1]
+    return corners
 
 
 def texel_owners(uvs: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -122,8 +139,7 @@ def texel_owners(uvs: np.ndarray, faces: np.ndarray, size: int) -> tuple[np.ndar
     Returns:
         The vertices (V, 2) float64 as column and row, with texel centres at .5, and the triangles (size, size) int32, -1 where none is.
     """
-    corners = uvs.astype(np.float64) * size
-    corners[:, 1] = size - corners[:, 1]
+    corners = _texel_corners(uvs, size)
     owner = np.full((size, size), -1, np.int32)
     fill_owners(0, len(faces), corners, faces, owner)
     return corners, owner

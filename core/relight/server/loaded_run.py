@@ -20,12 +20,10 @@ from ...scene.camera_files import load_run_cameras
 from ...scene.environment_files import repair_environment
 from ...scene.environment_map import EnvironmentMap
 from ...scene.lamps import Lamp
-from ...scene.mesh_ply import load_mesh_ply
 from ...scene.reconstruction import Reconstruction
-from ..backends import Backend
+from ..backends import Backend, load_mesh_query
 from ..gaussian_query import GaussianQuery
 from ..ground_shadow import Plane, over_shadow, plane_surface, shadow_alpha
-from ..mesh_query import MeshQuery
 from ..prepared_light import PreparedLight, prepare_light
 from ..primary_hits import PrimaryHits
 from ..relight_settings import RelightSettings
@@ -154,8 +152,7 @@ class LoadedRun:
         self._run, self._tick = run, tick
         self._device = best()
         self.reconstruction = Reconstruction.load(run).to(self._device)
-        file = run / "mesh.ply"
-        self._mesh = MeshQuery(load_mesh_ply(file), self.reconstruction.bound.radius, self._device) if file.is_file() else None
+        self._mesh = load_mesh_query(run, self.reconstruction.bound.radius, self._device)
         self._gaussians: GaussianQuery | None = None
         self._grounds = LRUCache(3)  # with the surface that each is beside, so that its id stays its own
         self._maps, self._lights, self._surfaces, self._relighters = LRUCache(2), LRUCache(3), LRUCache(6), LRUCache(4)

@@ -16,7 +16,6 @@ from irgspp.core.io.exr import read_exr, rgb_channels, write_exr
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.pipeline import DEMO_DATA
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.relight import render_views as rendering
 from irgspp.core.relight.render_views import Light, cameras_of, load_lamps, load_light, render_views, split_of, write_rgba
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.gbuffer import GBuffer
@@ -95,11 +94,14 @@ class FakeRelighter:
 
     reconstruction = SimpleNamespace(environment_map=lambda: np.full((2, 4, 3), 7, np.float32), confidence=None)
 
-    def __init__(self):
-        self.asked = []
+    def __init__(self, layers=None):
+        self.asked, self.layers = [], layers
 
     def surface(self, camera):
         return camera
+
+    def gbuffer(self, camera, surface):
+        return self.layers
 
     def relit(self, surface, light, lamps=()):
         self.asked.append((surface, float(light.radiance[0, 0, 0])))
@@ -118,10 +120,9 @@ def test_rgba_is_premultiplied_in_exr_and_straight_in_png(tmp_path):
     np.testing.assert_allclose(png[..., 3], alpha[..., 0], atol=0.003)
 
 
-def test_views_are_written_with_their_layers(tmp_path, monkeypatch):
+def test_views_are_written_with_their_layers(tmp_path):
     lights = [Light(name, np.full((2, 4, 3), level, np.float32)) for name, level in (("city", 1), ("night", 2))]
-    monkeypatch.setattr(rendering, "render_gbuffer", lambda _, camera: buffers(0.5))
-    relighter = FakeRelighter()
+    relighter = FakeRelighter(buffers(0.5))
     render_views(relighter, [("r_000", CAMERA), ("r_001", CAMERA)], tmp_path, Silent(), lights=lights)
     images = [f"rgba_{light}.{kind}" for light in ("city", "night") for kind in ("exr", "png")]
     expected = ["albedo.exr", "depth.exr", "material.exr", "normal.exr", "radiance.exr", *images]
@@ -144,34 +145,32 @@ def test_recovered_light_is_the_default(tmp_path):
     assert relighter.asked == [(CAMERA, 7.0)]
 
 
-def test_confidence_is_written_where_it_is_known(tmp_path, monkeypatch):
+def test_confidence_is_written_where_it_is_known(tmp_path):
     known = np.random.default_rng(2).random((4, 6, 3), np.float32)
     for confidence, expected in ((known, ["confidence.exr", "depth.exr"]), (None, ["depth.exr"])):
-        monkeypatch.setattr(rendering, "render_gbuffer", lambda *_, c=confidence: replace(buffers(0.5), confidence=c))
         folder = tmp_path / str(len(expected))
-        render_views(FakeRelighter(), [("a", CAMERA)], folder, Silent(), layers=("confidence", "depth"))
+        relighter = FakeRelighter(replace(buffers(0.5), confidence=confidence))
+        render_views(relighter, [("a", CAMERA)], folder, Silent(), layers=("confidence", "depth"))
         assert sorted(p.name for p in (folder / "a").iterdir()) == expected
     written = read_exr(tmp_path / "2" / "a" / "confidence.exr")
     np.testing.assert_allclose(np.stack([written[c] for c in "RGB"], -1), known)
 
 
-def test_missing_confidence_is_told(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(0.5))
+def test_missing_confidence_is_told(tmp_path):
     for layers, told in ((("confidence", "depth"), True), (("depth",), False)):
         listener = Listener()
-        render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, listener, layers=layers)
+        render_views(FakeRelighter(buffers(0.5)), [("a", CAMERA)], tmp_path, listener, layers=layers)
         assert ("no confidence.exr" in listener.said) == told
 
 
-def test_layers_are_zero_where_nothing_is(tmp_path, monkeypatch):
-    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(1e-4))
-    render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), layers=("normal", "depth"))
+def test_layers_are_zero_where_nothing_is(tmp_path):
+    render_views(FakeRelighter(buffers(1e-4)), [("a", CAMERA)], tmp_path, Silent(), layers=("normal", "depth"))
     assert sorted(p.name for p in (tmp_path / "a").iterdir()) == ["depth.exr", "normal.exr"]
     assert not read_exr(tmp_path / "a" / "depth.exr")["Z"].any()
     assert not read_exr(tmp_path / "a" / "normal.exr")["B"].any()
 
 
-def test_rendering_refuses_and_stops(tmp_path, monkeypatch):
+def test_rendering_refuses_and_stops(tmp_path):
     with pytest.raises(InputError, match="gloss"):
         render_views(FakeRelighter(), [("a", CAMERA)], tmp_path, Silent(), layers=("gloss",))
     with pytest.raises(InputError, match="same name"):
@@ -179,11 +178,10 @@ def test_rendering_refuses_and_stops(tmp_path, monkeypatch):
     (tmp_path / "file").touch()
     with pytest.raises(InputError, match="can't be created"):
         render_views(FakeRelighter(), [("a", CAMERA)], tmp_path / "file", Silent())
-    monkeypatch.setattr(rendering, "render_gbuffer", lambda *_: buffers(1.0))
     progress = Silent()
     progress.cancelled = True
     with pytest.raises(Cancelled):
-        render_views(FakeRelighter(), [("a", CAMERA), ("b", CAMERA)], tmp_path, progress, layers=("depth",))
+        render_views(FakeRelighter(buffers(1.0)), [("a", CAMERA), ("b", CAMERA)], tmp_path, progress, layers=("depth",))
     assert (tmp_path / "a" / "depth.exr").exists()
     assert not (tmp_path / "b").exists()
 
