@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Second cut: the edges of captured masks decided again, once a quick fit has rendered the object in all photographs.
 
-Its outlines agree over the views, and its colours and the support plane's texture say what a pixel at the edge shows.
+Its outlines agree over the views, and its colours and the support plane's texture say what a pixel at the edge shows. Gaps that the masks
+fill are opened where several photographs see the background in them.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from ..scene.dataset import Bound, View
 from ..scene.surroundings import Surroundings
 from .convex_cut import minimum_cut
 from .edge_colours import EdgeColours, edge_colours, edge_evidence
+from .filled_gaps import blurred, carved_silhouettes, gaps_in
 from .plane_texture import PlaneTexture, plane_texture
 from .segmentation import edge_weight
 from .support_plane import SupportPlane
@@ -40,6 +42,7 @@ REMAINING_ERROR = 0.5  # of the masks' error after the cut
 # of four captures move by .02 to .12; the same made 1 or 2 pixels too small or too large move by .4 to 1.1.
 MAX_EDGE_SHIFT = 0.3
 MAX_CUTS = 3  # cuts at most
+Crop = tuple[slice, slice]  # rows and columns
 
 
 def support_plane_of(surroundings: Surroundings | None) -> SupportPlane | None:
@@ -66,8 +69,33 @@ def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.nda
     parts = [(image[crop], opacity[crop]) for (image, opacity), crop in zip(rendered, crops, strict=True)]
     colours = list(run_jobs(_colours, [(texture, view, crop, part) for view, crop, part in zip(views, crops, parts, strict=True)]))
     evidence = edge_evidence(colours)
-    jobs = [(view, crop, one, ratio, part[1]) for view, crop, one, ratio, part in zip(views, crops, colours, evidence, parts, strict=True)]
-    return list(run_jobs(_with_mask, jobs))
+    opacity = [part[1] for part in parts]
+    colours, opacity = _without_gaps(views, crops, colours, evidence, opacity, plane, bound)
+    return list(run_jobs(_with_mask, list(zip(views, crops, colours, evidence, opacity, strict=True))))
+
+
+def _without_gaps(
+    views: Sequence[View],
+    crops: Sequence[Crop],
+    colours: Sequence[EdgeColours],
+    evidence: Sequence[np.ndarray],
+    opacity: Sequence[np.ndarray],
+    plane: SupportPlane,
+    bound: Bound,
+) -> tuple[list[EdgeColours], list[np.ndarray]]:
+    """Return colours and opacities (h, w) of all crops in which the gaps that masks fill are neither surely the object, nor opaque."""
+    doubts = [blurred(ratio, view.mask_error) for view, ratio in zip(views, evidence, strict=True)]
+    masks = [np.zeros((view.camera.height, view.camera.width), bool) for view in views]
+    for view, crop, doubt, mask in zip(views, crops, doubts, masks, strict=True):
+        assert view.alpha is not None
+        mask[crop] = (doubt < 0) & (view.alpha[crop] > 0.5)
+    found = carved_silhouettes([view.camera for view in views], masks, bound, plane)
+    if found is None:
+        return list(colours), list(opacity)
+    shown = [silhouette[crop] for silhouette, crop in zip(found, crops, strict=True)]
+    gaps = [gaps_in(one.inside, *pair) for one, *pair in zip(colours, doubts, shown, strict=True)]
+    opened = [replace(one, inside=one.inside & ~gap) for one, gap in zip(colours, gaps, strict=True)]
+    return opened, [np.where(gap, np.minimum(one, seen), one) for gap, one, seen in zip(gaps, opacity, shown, strict=True)]
 
 
 def edges_settled(before: Sequence[View], after: Sequence[View]) -> bool:
@@ -89,7 +117,7 @@ def _edge_shift(before: View, after: View) -> float:
     return float((after.alpha - before.alpha).sum() / length) if length else 0.0
 
 
-def _crop(view: View) -> tuple[slice, slice]:
+def _crop(view: View) -> Crop:
     """Return rows and columns around a view's mask; all where it is empty."""
     assert view.alpha is not None
     filled, margin = view.alpha > 0.5, round(MASK_MARGIN * view.mask_error)
@@ -100,14 +128,14 @@ def _crop(view: View) -> tuple[slice, slice]:
     return rows, columns
 
 
-def _colours(texture: PlaneTexture, view: View, crop: tuple[slice, slice], part: tuple[np.ndarray, np.ndarray]) -> EdgeColours:
+def _colours(texture: PlaneTexture, view: View, crop: Crop, part: tuple[np.ndarray, np.ndarray]) -> EdgeColours:
     assert view.alpha is not None
     alpha = view.alpha[crop]
     camera = view.camera.cropped(crop[1].start or 0, crop[0].start or 0, alpha.shape[1], alpha.shape[0])
     return edge_colours(texture, np.clip(view.colour[crop], 0, 1), camera, alpha, part, view.mask_error)
 
 
-def _with_mask(view: View, crop: tuple[slice, slice], colours: EdgeColours, evidence: np.ndarray, opacity: np.ndarray) -> View:
+def _with_mask(view: View, crop: Crop, colours: EdgeColours, evidence: np.ndarray, opacity: np.ndarray) -> View:
     """Cut a view; a mask that changes too much is kept as it was."""
     assert view.alpha is not None
     cost = np.clip(COLOUR_FACTOR * evidence, -MAX_COLOUR_COST, MAX_COLOUR_COST) + PRIOR_COST * (1 - 2 * opacity)
