@@ -17,11 +17,12 @@ from faulting.cases import CASES
 from stresses.runner import examine
 
 GROUPS = ("kill", "disk", "memory", "long_queue", "places", "fuzz")
+MODULES = (*GROUPS, "kill_capture")  # of the group "kill", too
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the chosen cases, report, and return the exit status."""
-    for name in GROUPS:
+    for name in MODULES:
         importlib.import_module(f"faulting.{name}")
     return examine(CASES, "faults", "Faults and hostile input", arguments)
 

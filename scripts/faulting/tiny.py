@@ -86,14 +86,12 @@ def work(dataset: str, run: str, resume: bool, kill_point: KillPoint, overwrite:
         overwrite: True to replace an existing run.
         output: file for the job's messages; "" for RUN.txt.
     """
-    with open(output or f"{run}.txt", "w", encoding="utf-8") as said:
-        for stream in (1, 2):
-            os.dup2(said.fileno(), stream)
+    redirect_output(Path(output or f"{run}.txt"))
     from irgspp.core.cli.main import main
     from irgspp.core.stages.first import trainer
 
     trainer.CHECKPOINT_SECONDS = CHECKPOINT_SECONDS
-    operations = _watch(Path(run), kill_point)
+    operations = watch_operations(Path(run), kill_point)
     words = [word for text in SETTINGS for word in ("--set", text)]
     given = [] if resume else ["--preset", "draft", *words]
     status = main(["reconstruct", dataset, "-o", run, *given, *(["--resume"] if resume else []), *(["--overwrite"] if overwrite else [])])
@@ -103,8 +101,23 @@ def work(dataset: str, run: str, resume: bool, kill_point: KillPoint, overwrite:
     os._exit(status)
 
 
-def _watch(run: Path, kill_point: KillPoint) -> list[str]:
-    """Count the operations on the run's files, and kill the process before one of them."""
+def redirect_output(file: Path) -> None:
+    """Write everything that this process says to a file."""
+    with open(file, "w", encoding="utf-8") as said:
+        for stream in (1, 2):
+            os.dup2(said.fileno(), stream)
+
+
+def watch_operations(run: Path, kill_point: KillPoint) -> list[str]:
+    """Count the operations on a folder's files, and kill the process before one of them.
+
+    Args:
+        run: folder of the run or the dataset.
+        kill_point: operation before which the process kills itself.
+
+    Returns:
+        The operations so far; it grows.
+    """
     operations: list[str] = []
 
     def look(event: str, arguments: tuple[Any, ...]) -> None:

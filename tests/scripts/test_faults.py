@@ -16,7 +16,7 @@ sys.path.insert(0, str(SCRIPTS))
 faults = importlib.import_module("faults")
 runner = importlib.import_module("stresses.runner")
 case_module = importlib.import_module("stresses.case")
-for name in faults.GROUPS:
+for name in faults.MODULES:
     importlib.import_module(f"faulting.{name}")
 sys.path.remove(str(SCRIPTS))
 QUICK = runner.selected(faults.CASES, quick=True, only="")
