@@ -17,6 +17,8 @@ from ..surface.mesh_texels import texel_sides
 
 SHARPER = 0.5  # levels by which sampling is finer than one texel per pixel: the mean of 2 x 2 texels that a lookup takes blurs by as much
 MIN_SIDE = 16  # texels along a side of the coarsest level
+BAND = 256  # rows, even, that are averaged or encoded at a time: as floats, a texture of 8192 texels takes 800 MB
+_LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)  # of each code
 MIN_FACING = 0.1  # least cosine between a surface and the view of which a pixel's size on the surface takes account
 
 
@@ -31,7 +33,7 @@ class AlbedoTexture:
 
     def __init__(self, texture: np.ndarray, mesh: Mesh, device: torch.device | str = "cpu") -> None:
         self._levels = [torch.from_numpy(level).to(device) for level in _levels(texture)]
-        self._linear = torch.from_numpy(decode_srgb(np.arange(256, dtype=np.float32) / 255)).to(device)
+        self._linear = torch.from_numpy(_LINEAR).to(device)
         self._uv = torch.from_numpy(np.asarray(mesh.uvs, np.float32)).to(device)
         self._faces = torch.from_numpy(mesh.faces.astype(np.int64)).to(device)
         self._texel = torch.from_numpy(texel_sides(mesh.vertices, mesh.uvs, mesh.faces, len(texture))).to(device)
@@ -89,9 +91,22 @@ def load_albedo_texture(run: Path, mesh: Mesh, device: torch.device | str = "cpu
 
 def _levels(texture: np.ndarray) -> list[np.ndarray]:
     """Return a texture (T, T, 3) uint8 and its reductions by two, averaged in linear light, down to MIN_SIDE texels."""
-    levels, linear = [np.array(texture)], decode_srgb(texture.astype(np.float32) / 255)
+    levels, side = [np.array(texture)], len(texture)
+    if side < 2 * MIN_SIDE or side % 2:
+        return levels
+    linear = np.concatenate([_halved(_LINEAR[texture[top : top + BAND]]) for top in range(0, side, BAND)])
+    levels.append(_encoded(linear))
     while len(linear) >= 2 * MIN_SIDE and len(linear) % 2 == 0:
-        half = len(linear) // 2
-        linear = linear.reshape(half, 2, half, 2, 3).mean((1, 3), dtype=np.float32)
-        levels.append(eight_bits(encode_srgb(linear)))
+        linear = _halved(linear)
+        levels.append(_encoded(linear))
     return levels
+
+
+def _halved(image: np.ndarray) -> np.ndarray:
+    """Return the means (h, w, 3) of 2 x 2 texels each of an image (2 h, 2 w, 3)."""
+    return image.reshape(len(image) // 2, 2, image.shape[1] // 2, 2, 3).mean((1, 3), dtype=np.float32)
+
+
+def _encoded(linear: np.ndarray) -> np.ndarray:
+    """Encode an image (H, W, 3) as sRGB of 8 bits."""
+    return np.concatenate([eight_bits(encode_srgb(linear[top : top + BAND])) for top in range(0, len(linear), BAND)])
