@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gaps that masks fill, such as between an arm and the body: pixels deep inside whose colours are the background's.
 
-One photograph is no proof, as a glossy object mirrors its surroundings. So the places where colours tell the object are carved like masks:
-a gap is empty in space, and several photographs look through it.
+One photograph is no proof, as a glossy object mirrors its surroundings. But a gap is empty in space, and several photographs look through
+it. So the pixels whose colours are the object's are carved into a hull, as masks are, and gaps are where its silhouettes are open.
 """
 
 from __future__ import annotations

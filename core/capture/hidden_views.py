@@ -36,8 +36,7 @@ def hidden_views(cameras: Sequence[Camera], dense: DensePoints, plane: SupportPl
 
 def _hidden_fraction(camera: Camera, own: np.ndarray, other: np.ndarray, step: float) -> float:
     """Return the fraction of the outline of voxels (N, 3) before which points (M, 3) lie; 0 where the view does not show them."""
-    scale = min(1.0, MAX_DEPTH_MAP_SIDE / max(camera.width, camera.height))
-    small = camera.resized(max(1, round(scale * camera.width)), max(1, round(scale * camera.height)))
+    small = camera.with_longest_side(min(MAX_DEPTH_MAP_SIDE, max(camera.width, camera.height)))
     outline = projected_voxels(small, own, step) > 0
     if not outline.any():
         return 0.0

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 MOST_FRAMES = 1_000_000
 SMALLEST_SIDE, LARGEST_SIDE = 16, 16384  # that `--resolution` takes, pixels
-LONGEST_SIDE = 1600  # of the images of a dataset's views where `--resolution` is not given, pixels: photographs of 12 MP take minutes each
+LONGEST_SIDE = 1600  # of the images of a dataset's views where `--resolution` is not given, pixels
 
 
 def render(args: argparse.Namespace, terminal: Terminal) -> int:
@@ -124,7 +124,8 @@ def add_options(one: argparse.ArgumentParser) -> None:
     views = "cameras of this dataset; split: train, test or all (default: the test views, or all where it has none)"
     one.add_argument("--views", metavar="DATASET[:split]", help=views)
     one.add_argument("--orbit", type=int, metavar="N", help="N views on a circle around the object instead")
-    side = f"longest side of the images, pixels (default: that of the cameras' photographs, at most {LONGEST_SIDE})"
+    of_views = f"that of the photographs of --views, at most {LONGEST_SIDE}, or of the run's own cameras"
+    side = f"longest side of the images, pixels (default: {of_views})"
     one.add_argument("--resolution", type=_side, metavar="N", help=side)
     some = "only these views, counted from 0, such as 0-9,20: several machines can share a turntable"
     one.add_argument("--frames", type=_frames, metavar="A-B,C", help=some)

@@ -18,8 +18,8 @@ from ..surface.mesh_texels import texel_sides
 SHARPER = 0.5  # levels by which sampling is finer than one texel per pixel: the mean of 2 x 2 texels that a lookup takes blurs by as much
 MIN_SIDE = 16  # texels along a side of the coarsest level
 BAND = 256  # rows, even, that are averaged or encoded at a time: as floats, a texture of 8192 texels takes 800 MB
-_LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)  # of each code
-MIN_FACING = 0.1  # least cosine between a surface and the view of which a pixel's size on the surface takes account
+MIN_FACING = 0.1  # least cosine between surface and view by which a pixel's size on the surface grows
+_LINEAR = decode_srgb(np.arange(256, dtype=np.float32) / 255)  # linear value of each 8-bit code
 
 
 class AlbedoTexture:
@@ -46,7 +46,7 @@ class AlbedoTexture:
             triangle: (K,) of each point.
             barycentric: (K, 3) weights of its corners.
             pixel: (K,) side of the point's pixel on a surface that faces the camera, world units.
-            facing: (K,) cosine between surface and view; the size of a slanted pixel is the mean of its width and its length.
+            facing: (K,) cosine between surface and view; the size of a slanted pixel is the geometric mean of its sides.
         """
         uv = (self._uv[self._faces[triangle]] * barycentric[..., None]).sum(1)
         size = pixel / self._texel[triangle].clamp_min(1e-12) / facing.abs().clamp_min(MIN_FACING).sqrt()

@@ -149,6 +149,7 @@ class MeshQuery:
         return kept[1]
 
     def _find_seen(self, surface: PrimaryHits) -> _Seen:
+        """Trace the pixels' rays to find what `_seen` returns."""
         direction, centre = -surface.view, _centre(surface)
         triangle, u, v, distance = self.closest(centre.expand_as(direction).contiguous(), direction)
         behind = distance - (surface.point - centre).norm(dim=1)

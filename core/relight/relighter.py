@@ -109,7 +109,7 @@ class Relighter:
         return dataclasses.replace(surface, divided=DividedHits.of(surface, self._refined(rays)))
 
     def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None) -> GBuffer:
-        """Return the G-buffer of a camera, with the albedo of the mesh's texture where `surface` has it, but without its factor.
+        """Return the G-buffer of a camera; its albedo is the texture's where there is one, not multiplied by `albedo_scale`.
 
         Args:
             camera: the camera.

@@ -190,9 +190,7 @@ class LoadedRun:
         """Render one small image, so that all kernels are compiled before the first request."""
         cameras = load_run_cameras(self._run / "cameras.json")
         if cameras:
-            first = cameras[0].camera
-            scale = 64 / max(first.width, first.height)
-            camera = first.resized(max(1, round(first.width * scale)), max(1, round(first.height * scale)))
+            camera = cameras[0].camera.with_longest_side(64)
             self.image(Request(camera, backend="mesh" if self._mesh else "gaussian"), camera, PREVIEW_SAMPLES)
 
     def _relighter(self, backend: Backend, settings: RelightSettings) -> Relighter:
