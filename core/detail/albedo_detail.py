@@ -22,15 +22,15 @@ from ..scene.camera import Camera
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Choice, Settings
-from ..settings.sizes import takes_photograph_detail
+from ..settings.sizes import MIN_SIZE_RATIO, takes_photograph_detail
 from ..surface.mesh_texels import mesh_texels
 from ..surface.texturing import stoppable
 from .alignment import displacement
 from .candidates import Candidates, TexelView, add_candidates
 from .combination import combine
-from .evidence import Evidence
+from .evidence import CLEAR_CORRELATION_GAIN, MIN_CORRELATION_GAIN, Evidence
 from .mesh_depth import MeshDepth, render_mesh_depth
-from .photographs import FullSizePhotograph, find_full_size_photographs
+from .photographs import FullSizePhotograph, find_full_size_photographs, object_pixels
 from .radiometric_correction import fit_correction
 from .report import DetailReport
 from .sharpness import relative_blur
@@ -204,8 +204,8 @@ def detailed(
         mesh: mesh with materials and baked textures.
         reconstruction: solved light and materials.
         photographs: full-size photographs.
-        choice: "off": leave the texture as it is; "auto": where the photographs are larger than the working resolution and held-back ones
-            agree better with it; "on": in any case.
+        choice: "off": leave the texture as it is; "auto": where the photographs are larger than the working resolution, or show more pixels
+            of the object than there are Gaussians, and held-back ones agree better with it; "on": in any case.
         progress: receives steps, warnings and the result; may cancel.
 
     Raises:
@@ -216,9 +216,10 @@ def detailed(
     photographs = _readable(photographs, progress)
     if len(photographs) < MIN_PHOTOGRAPHS:
         return mesh, DetailReport(False, f"only {len(photographs)} full-size photographs")
-    if not takes_photograph_detail(choice, float(np.median([one.finer for one in photographs]))):
+    finer, pixels = float(np.median([one.finer for one in photographs])), object_pixels(mesh, photographs)
+    if not takes_photograph_detail(choice, finer, reconstruction.gaussians.count / max(pixels, 1.0)):
         # Relief that the Gaussians shade would become albedo, and nothing be gained.
-        return mesh, DetailReport(False, "the photographs are not larger than the working resolution (data.resolution)")
+        return mesh, DetailReport(False, "the photographs are not larger than data.resolution and not finer than the Gaussians")
     progress.phase("detail", 2 * len(photographs))
     step = stoppable(progress)
     every = max(HELD_BACK_EVERY, -(-len(photographs) // MAX_HELD_BACK))
@@ -229,7 +230,7 @@ def detailed(
     used = work.add_all(others, lambda done: step(len(others) + done))
     albedo = combine(work.candidates)
     evidence = work.held_back(held, albedo)
-    applied = choice == "on" or evidence.convincing
+    applied = choice == "on" or evidence.convincing(MIN_CORRELATION_GAIN if finer >= MIN_SIZE_RATIO else CLEAR_CORRELATION_GAIN)
     if applied:
         used += work.add_all(held, lambda done: step(2 * len(others) + done))
         albedo = combine(work.candidates)

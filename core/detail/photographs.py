@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -16,7 +17,10 @@ from ..errors import InputError
 from ..io.image import image_size, read_image
 from ..io.srgb import decode_srgb
 from ..scene.camera import Camera
+from ..scene.mesh import Mesh
 from ..settings.schema import DataSettings
+from ..settings.sizes import SURFACE_RATIO
+from ..surface.mesh_texels import surface_area
 
 PYRAMID_LEVELS = 3  # of the pyramid of a photograph, each half the size of the one before
 # Difference of two poses' entries, as a fraction of the camera's distance from the origin, that rounding explains.
@@ -131,6 +135,18 @@ def find_full_size_photographs(dataset: Path, settings: DataSettings, cameras: d
     if not missing:
         return known, ""
     return known, f"{dataset}: {missing} of {len(cameras)} photographs of the run are gone or have other cameras since"
+
+
+def object_pixels(mesh: Mesh, photographs: Sequence[FullSizePhotograph]) -> float:
+    """Estimate the mean number of pixels of the full-size photographs that show an object, as if nothing lay outside of them.
+
+    Args:
+        mesh: mesh of the object.
+        photographs: at least one.
+    """
+    centre = mesh.vertices.mean(0)
+    scales = [one.lens.fx / max(float(np.linalg.norm(one.working.camera.centre - centre)), 1e-9) for one in photographs]
+    return surface_area(mesh.vertices, mesh.faces) / SURFACE_RATIO * float(np.mean(np.square(scales)))
 
 
 def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -94,9 +94,18 @@ def larger_texture_seconds(settings: Settings) -> float:
 
 def detail_seconds(settings: Settings, data: Dataset) -> float:
     """Estimate the time for decoding and sampling the full-size photographs; arguments as of `reference_seconds`."""
-    if not takes_photograph_detail(settings.surface.albedo_detail, data.full_size_ratio(settings.data.resolution)):
+    if not may_take_detail(settings, data):
         return 0.0
     return 2 * DETAIL_PIXEL * len(data.train) * data.full_size_pixels
+
+
+def may_take_detail(settings: Settings, data: Dataset) -> bool:
+    """Return True for a job whose albedo may take detail from the full-size photographs; arguments as of `reference_seconds`."""
+    resolution, per_pixel = settings.data.resolution, math.inf
+    if data.has_alpha:
+        surfels = gaussians_at_start(settings.first, _object_pixels(data, resolution))
+        per_pixel = surfels / max(1.0, data.object_pixels * data.reduction**2)
+    return takes_photograph_detail(settings.surface.albedo_detail, data.full_size_ratio(resolution), per_pixel)
 
 
 def schedule_seconds(settings: Settings, data: Dataset) -> float:
@@ -162,8 +171,7 @@ def _object_pixels(data: Dataset, resolution: int) -> float | None:
     """Return the mean number of pixels that show the object after reduction to a resolution; None without masks."""
     if not data.has_alpha:
         return None
-    largest = max(max(view.camera.width, view.camera.height) for view in data.train)
-    return data.object_pixels * min(1.0, resolution / largest) ** 2
+    return data.object_pixels * (data.reduction / data.full_size_ratio(resolution)) ** 2
 
 
 def _key() -> str:

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from ..scene.dataset import Dataset
 from ..settings.schema import Settings
-from ..settings.sizes import takes_photograph_detail, texels_along, with_texture_size
+from ..settings.sizes import texels_along, with_texture_size
 from .cpu_memory import check_texture_memory, free_memory, resident_memory, texture_memory
 from .disk_space import check_texture_disk_space, estimate_disk_space, free_disk_space
-from .job_time import USUAL_TEXTURE, larger_texture_seconds
+from .job_time import USUAL_TEXTURE, larger_texture_seconds, may_take_detail
 
 SMALLEST = 512  # texels along a side below which no shortage lowers the choice: the draft preset's
 USABLE = 0.7  # fraction of the free memory and disk space that a job of a chosen size may plan with, since other programs need some, too
@@ -81,7 +81,7 @@ def size_by_pixels(settings: Settings, data: Dataset) -> TextureSize:
         return TextureSize(surface.texture, "as set")
     if surface.albedo_detail == "off":
         return TextureSize(surface.texture_least, "without detail of the full-size photographs")
-    if not takes_photograph_detail(surface.albedo_detail, data.full_size_ratio(settings.data.resolution)):
+    if not may_take_detail(settings, data):
         return TextureSize(surface.texture_least, "the photographs are not larger than the working resolution")
     pixels = data.outline_pixels * data.reduction**2
     about = f"about {pixels:,.0f} pixels of a full-size photograph show the object"

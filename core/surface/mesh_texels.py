@@ -154,9 +154,19 @@ def mean_texel_side(vertices: np.ndarray, faces: np.ndarray, uvs: np.ndarray, si
         uvs: (V, 2) in 0..1.
         size: texels along a side of the texture.
     """
-    area = _doubled_world_area(vertices, faces).sum()
+    area = 2 * surface_area(vertices, faces)
     texels = np.abs(doubled_area(uvs[faces].astype(np.float64))).sum() * size**2
     return float(np.sqrt(area / max(texels, 1e-12)))
+
+
+def surface_area(vertices: np.ndarray, faces: np.ndarray) -> float:
+    """Return the area of a surface, world units squared.
+
+    Args:
+        vertices: (V, 3) world.
+        faces: (F, 3).
+    """
+    return float(_doubled_world_area(vertices, faces).sum()) / 2
 
 
 def barycentric(triangle: np.ndarray, point: np.ndarray) -> np.ndarray:

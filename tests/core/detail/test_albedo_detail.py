@@ -6,8 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from irgspp.core.detail.albedo_detail import detailed, detailed_by_dataset
-from irgspp.core.detail.photographs import FullSizePhotograph
+from irgspp.core.detail.evidence import Evidence
+from irgspp.core.detail.photographs import object_pixels
 from irgspp.core.errors import Cancelled
 from irgspp.core.io.srgb import decode_srgb, encode_srgb
 from irgspp.core.progress.protocol import Silent
@@ -69,11 +71,40 @@ def test_the_density_is_reported(written, result):
     assert 0.5 < report.seen < 1
 
 
-def test_photographs_of_the_working_resolution_are_left_alone(written, monkeypatch):
-    monkeypatch.setattr(FullSizePhotograph, "check", lambda photograph: None)  # the files are larger
-    small = [replace(one, lens=one.working.lens) for one in written.photographs()]
-    mesh, report = detailed(written.mesh, written.reconstruction, small, "auto", Silent())
+def at_full_size(photographs):
+    """Return photographs whose working resolution is that of their files."""
+    frames = [replace(one.working, lens=one.lens, camera=one.working.camera.resized(*one.lens.size)) for one in photographs]
+    return [replace(one, working=frame) for one, frame in zip(photographs, frames, strict=True)]
+
+
+def with_gaussians(reconstruction, count):
+    """Return a reconstruction with copies of its Gaussians."""
+    chosen = torch.arange(count) % reconstruction.gaussians.count
+    return replace(reconstruction, gaussians=reconstruction.gaussians.select(chosen))
+
+
+def test_photographs_of_the_working_resolution_are_left_alone(written):
+    many = with_gaussians(written.reconstruction, 60_000)
+    mesh, report = detailed(written.mesh, many, at_full_size(written.photographs()), "auto", Silent())
     assert mesh is written.mesh and not report.applied and "not larger" in report.why
+
+
+def test_unless_they_show_more_pixels_than_there_are_gaussians(written):
+    few = with_gaussians(written.reconstruction, 10_000)
+    mesh, report = detailed(written.mesh, few, at_full_size(written.photographs()), "auto", Silent())
+    assert report.applied and psnr(linear(mesh), written.truth) > 33
+
+
+def test_where_the_gaussians_saw_every_pixel_the_detail_must_agree_clearly_better(written, monkeypatch):
+    few, photographs = with_gaussians(written.reconstruction, 10_000), at_full_size(written.photographs())
+    monkeypatch.setattr(Evidence, "correlations", (0.39, 0.35))
+    assert not detailed(written.mesh, few, photographs, "auto", Silent())[1].applied
+    assert detailed(written.mesh, few, written.photographs(), "auto", Silent())[1].applied  # larger ones: a gain is enough
+
+
+def test_pixels_that_show_the_object_follow_from_its_mesh(written):
+    masks = [one.load().alpha.mean() * one.lens.width * one.lens.height for one in written.photographs()]
+    assert object_pixels(written.mesh, written.photographs()) == pytest.approx(np.mean(masks), rel=0.25)
 
 
 def test_photographs_of_something_else_change_nothing(written, tmp_path):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from irgspp.core.detail.albedo_detail import AlbedoDetail
 from irgspp.core.detail.candidates import Candidates
-from irgspp.core.detail.evidence import Evidence
+from irgspp.core.detail.evidence import MIN_CORRELATION_GAIN, Evidence
 from irgspp.core.detail.mesh_depth import render_mesh_depth
 from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.detail.radiometric_correction import edge_weight, smooth_ratio
@@ -93,11 +93,11 @@ def test_evidence_is_fine_detail_that_held_back_photographs_share(written):
     for new, old, good in ((truth, flat, True), (noise, flat, False), (flat, truth, False), (truth, truth, False)):
         evidence = Evidence(texels)
         evidence.add(held, new.astype(np.float32), old.astype(np.float32))
-        assert evidence.convincing == good
+        assert evidence.convincing(MIN_CORRELATION_GAIN) == good
     few = Evidence(texels)
     weight = held.weight * (np.arange(count) < 50)[:, None]
     few.add(Candidates(held.colour, weight, held.finest), truth.astype(np.float32), flat.astype(np.float32))
-    assert few.compared == 50 and not few.convincing
+    assert few.compared == 50 and not few.convincing(MIN_CORRELATION_GAIN)
 
 
 def test_parts_behind_the_camera_are_left_out():
@@ -118,5 +118,5 @@ def test_weak_detail_without_colour_may_be_shading(written, strength, colour, pa
     held.weight[:], held.finest[:] = 1, np.median(texels.side)
     evidence = Evidence(texels)
     evidence.add(held, albedo.astype(np.float32), np.full((count, 3), 0.3, np.float32))
-    assert evidence.correlations[0] > 0.9 and evidence.painted is painted and evidence.convincing is painted
+    assert evidence.correlations[0] > 0.9 and evidence.painted is painted and evidence.convincing(MIN_CORRELATION_GAIN) is painted
     assert ("shading of fine relief" in evidence.reason) is not painted

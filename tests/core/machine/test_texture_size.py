@@ -56,7 +56,14 @@ def test_without_detail_of_photographs_the_least_size_is_enough(demo: Dataset) -
     large = reduced(demo, reduction_for(demo, 5e6))
     assert size_by_pixels(with_overrides(Settings(), ["surface.albedo_detail=off"]), large).size == 1024
     side = max(demo.train[0].camera.width, demo.train[0].camera.height) * large.reduction
-    assert size_by_pixels(with_overrides(Settings(), [f"data.resolution={round(side)}"]), large).size == 1024
+    overrides = [f"data.resolution={round(side)}", "first.gaussians=10000000", "first.gaussians_per_pixel=2"]
+    assert size_by_pixels(with_overrides(Settings(), overrides), large).size == 1024
+
+
+def test_more_pixels_than_gaussians_are_detail_too(demo: Dataset) -> None:
+    large = reduced(demo, reduction_for(demo, 5e6))
+    side = max(demo.train[0].camera.width, demo.train[0].camera.height) * large.reduction
+    assert size_by_pixels(with_overrides(Settings(), [f"data.resolution={round(side)}"]), large).size == 4096
 
 
 def test_a_size_that_is_set_is_taken(demo: Dataset, tmp_path: Path) -> None:
