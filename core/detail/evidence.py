@@ -17,7 +17,8 @@ from .candidates import Candidates
 from .texel_sampling import CODES
 
 # Correlation with detail above that without, from which the detail is used: where the photographs are larger than the working resolution,
-# and where they are not and the Gaussians saw all of it. There, gains of -.04 to .08 on six scenes came with a loss of albedo, .26 with a gain.
+# and where they are not and the Gaussians saw all of it. There, gains of -.04 to .08 on six scenes came with a loss of albedo, .26 on one
+# with a gain.
 MIN_CORRELATION_GAIN, CLEAR_CORRELATION_GAIN = 0.02, 0.1
 MIN_CORRELATION = 0.15  # least correlation that is not chance
 MIN_TEXELS = 500  # texels that the held-back photographs must show
