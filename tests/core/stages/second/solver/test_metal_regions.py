@@ -9,6 +9,7 @@ from irgspp.core.stages.second.solver.metal_regions import (
     MIN_GAIN_PER_SHARE,
     MIN_POSSIBLE_GAIN,
     MIN_REGION_GAIN,
+    MIN_SMALL_REGION_GAIN,
     MIN_SURE_GAIN,
     NEIGHBOURS,
     confirm_metal,
@@ -112,6 +113,21 @@ def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
         """Whether the region is metal if that takes this share off all errors, which are 120."""
         adapt = lambda metal: (metal, 2.0 - 120 * gain / points * metal.any() * region.float())  # noqa: E731
         return confirm_metal([region], adapt(NONE), adapt)[2]
+
+    assert confirmed(1.1 * needed) == 1
+    assert confirmed(0.9 * needed) == 0
+
+
+@pytest.mark.parametrize(("points", "needed"), [(4, MIN_SMALL_REGION_GAIN), (8, 0.008), (20, MIN_REGION_GAIN)])
+def test_small_regions_need_their_share_but_a_least_gain(points, needed):
+    region = torch.arange(1000) < points
+
+    without = torch.where(region, 100 / points, 900 / (1000 - points))
+
+    def confirmed(gain):
+        """Whether the region is metal if that takes this share off all errors, which are 1000."""
+        adapt = lambda metal: (metal, without - metal.any() * region * 1000 * gain / points)  # noqa: E731
+        return confirm_metal([region], adapt(torch.zeros(1000, dtype=torch.bool)), adapt)[2]
 
     assert confirmed(1.1 * needed) == 1
     assert confirmed(0.9 * needed) == 0
