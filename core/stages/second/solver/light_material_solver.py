@@ -34,7 +34,7 @@ from .light_prior import LightPrior
 from .linear_system import solve_positive
 from .material_search import MaterialSearch
 from .metal_normals import reflected_normals
-from .metal_regions import MIN_REGION_GAIN, confirm_metal, sharp_regions
+from .metal_regions import completed_metal, confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error
@@ -109,8 +109,8 @@ class LightMaterialSolver:
         self._search = MaterialSearch(samples, transfer, self._diffuse, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
-        self._moved = math.inf  # root mean square of the last step of the log light
-        self._loosened = 1.0  # factor of CAUCHY_SCALE in the next step
+        # Root mean square of the last step of the log light, and factor of CAUCHY_SCALE in the next one.
+        self._moved, self._loosened = math.inf, 1.0
         self._update_model()
 
     @property
@@ -164,13 +164,18 @@ class LightMaterialSolver:
         self._loosened = SPLIT_CAUCHY_FACTOR
         self._update_model()
 
+    def grow_metal(self) -> None:
+        """Redraw the borders of metal with free normals; at least one point is metal."""
+        costs = self._costs()
+        self._set_materials(costs, self._search.grown_metal(costs, self.metallic > 0, self.light, self.surface_normal), with_prior=True)
+
     def turn_metal(self) -> None:
         """Search the normals of metal by its reflections, with its roughness, and let the light follow; at least one point is metal."""
         metal = self.metallic > 0
         samples, transfer = self.samples.subset(metal), self.transfer.subset(metal)
-        normal, roughness = self.samples.normal.clone(), self.roughness.clone()
-        normal[metal], roughness[metal] = reflected_normals(samples, transfer, self.light, self.surface_normal[metal])
-        self.samples, self.roughness = replace(self.samples, normal=normal), roughness
+        normal, self.roughness = self.samples.normal.clone(), self.roughness.clone()
+        normal[metal], self.roughness[metal] = reflected_normals(samples, transfer, self.light, self.surface_normal[metal])
+        self.samples = replace(self.samples, normal=normal)
         self._update_model()
         for _ in range(TURN_STEPS):
             self._step(STEPS)
@@ -186,8 +191,7 @@ class LightMaterialSolver:
 
     def error(self) -> float:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
-        factor, rest = self._model.terms(self.light)
-        return float(((self.albedo[self.samples.point] * factor + rest - self.samples.colour) * self.derivative).abs().median())
+        return float(((self._radiance() - self.samples.colour) * self.derivative).abs().median())
 
     def total_error(self) -> float:
         """Return the robust error of all samples."""
@@ -195,8 +199,12 @@ class LightMaterialSolver:
 
     def _robust_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
+        return robust_error(self.samples, self._radiance(), self.derivative)
+
+    def _radiance(self) -> torch.Tensor:
+        """Return the radiance (K, 3) that the samples should have."""
         factor, rest = self._model.terms(self.light)
-        return robust_error(self.samples, self.albedo[self.samples.point] * factor + rest, self.derivative)
+        return self.albedo[self.samples.point] * factor + rest
 
     def _update_model(self) -> None:
         """Compute the radiance's dependence on the light for the current materials, normals and texels."""
@@ -251,7 +259,7 @@ class LightMaterialSolver:
         if self._search_metal and done < METAL_TEST_STEP:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
         elif done == METAL_BORDERS_STEP:
-            metal = self._completed_metal(self._search.redrawn_metal(costs, metal))
+            metal = completed_metal(self._search.redrawn_metal(costs, metal), self._adapted)
         # Sooner, the prior would settle on a roughness before the light does, see `roughness_prior`.
         self._set_materials(costs, metal, with_prior=done == MATERIAL_STEPS[-1])
 
@@ -266,16 +274,6 @@ class LightMaterialSolver:
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
         self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
         self._update_model()
-
-    def _completed_metal(self, metal: torch.Tensor) -> torch.Tensor:
-        """Return all points for an object that is mostly metal, `metal` (P,) bool, unless its other points clearly contradict that.
-
-        Wrong normals make a part of a metal object look like a dielectric: on a metal figure, the underside of its base did.
-        """
-        if float(metal.float().mean()) <= MEAN_METALLIC_THRESHOLD or bool(metal.all()):
-            return metal
-        mixed, whole = (float(self._adapted(points)[1].sum()) for points in (metal, torch.ones_like(metal)))
-        return torch.ones_like(metal) if whole - mixed <= MIN_REGION_GAIN * mixed else metal
 
     def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""

@@ -17,12 +17,29 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 # that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 50 and 57 by the cut; rocker_corner 13
 # and 57, 1 and 70; suzanne_mixed 5 and 24, 3 and 18.
 METAL_PRIOR, NEIGHBOUR_COUPLING = 0.06, 0.75
+# The same where the metal's normals are free. Such points with the prior above and fixed normals, and now: capture_ogre 39 and 86, 37 and
+# 67; rocker_corner 0 and 40, 0 and 31; suzanne_mixed 1 and 5, 1 and 1.
+FREE_NORMAL_PRIOR = 0.2
 MAX_RINGS = 4  # rings of neighbours around metal that may become metal
 MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about 2 NEIGHBOUR_COUPLING, so that more decides by itself
 CAPACITY_SCALE = 10_000  # capacities are integers, in this fraction of the evidence's unit
 
 
-def cut_metal(evidence: torch.Tensor, metal: torch.Tensor, neighbours: torch.Tensor, similarity: torch.Tensor) -> torch.Tensor:
+def within_rings(metal: torch.Tensor, neighbours: torch.Tensor) -> torch.Tensor:
+    """Return the points (P,) bool that may become metal: metal, and MAX_RINGS rings of neighbours around it.
+
+    Args:
+        metal: (P,) bool.
+        neighbours: (P, N) indices of points.
+    """
+    for _ in range(MAX_RINGS):
+        metal = metal | metal[neighbours].any(1)
+    return metal
+
+
+def cut_metal(
+    evidence: torch.Tensor, metal: torch.Tensor, neighbours: torch.Tensor, similarity: torch.Tensor, prior: float = METAL_PRIOR
+) -> torch.Tensor:
     """Draw the borders of metal anew, so that the evidence within them, less the similarity across them, is greatest.
 
     Args:
@@ -30,14 +47,13 @@ def cut_metal(evidence: torch.Tensor, metal: torch.Tensor, neighbours: torch.Ten
         metal: (P,) bool, metal so far.
         neighbours: (P, N) indices of points.
         similarity: (P, N) weights of these, which sum to 1.
+        prior: added to the evidence of a point near metal.
 
     Returns:
         (P,) bool: metal, at most MAX_RINGS rings of neighbours beyond what was metal.
     """
-    near = metal
-    for _ in range(MAX_RINGS):
-        near = near | near[neighbours].any(1)
-    value = np.where(near.cpu(), evidence.cpu().double() + METAL_PRIOR, -MAX_EVIDENCE).clip(-MAX_EVIDENCE, MAX_EVIDENCE)
+    near = within_rings(metal, neighbours)
+    value = np.where(near.cpu(), evidence.cpu().double() + prior, -MAX_EVIDENCE).clip(-MAX_EVIDENCE, MAX_EVIDENCE)
     link = 0.5 * NEIGHBOUR_COUPLING * similarity.cpu().double().numpy()
     return torch.from_numpy(_source_side(_graph(value, neighbours.cpu().numpy(), link))).to(metal.device)
 

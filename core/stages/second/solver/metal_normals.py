@@ -16,13 +16,12 @@ import numpy as np
 import torch
 
 from ...common.nearest_neighbours import nearest_neighbours
-from .material_search import ROUGHNESS_VALUES
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import approximate_srgb_derivative, least_squares_albedo, robust_error
 
-SEARCHED_ROUGHNESS = ROUGHNESS_VALUES[:9]  # searched
+SEARCHED_ROUGHNESS = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7)
 RING_ANGLE, RINGS = math.radians(4), 4  # distance of the rings of normals that are tried, and their number
 TURN_COST = 0.15  # robust error of a view that a turn by RING_ANGLE costs; it rises with the square of the turn
 ROUGHNESS_NEIGHBOURS = 64  # nearest points that share their roughness
@@ -47,6 +46,30 @@ def reflected_normals(
     shared = _averaged(samples.position, least)
     row = torch.arange(len(normal), device=normal.device)
     return normal[row, shared.argmin(1)], parabola_minimum(knots, shared)
+
+
+def turned_metal_errors(
+    samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, surface_normal: torch.Tensor, metal: torch.Tensor
+) -> torch.Tensor:
+    """Return the least error of a view (P,) of points as metal with any normal near the surface's, and the roughness of the metal nearby.
+
+    Args:
+        samples: K samples of P points.
+        transfer: radiance transfer to the points.
+        light: (T, 3) linear radiance of the texels.
+        surface_normal: (P, 3) unit normals of the surface, around which is searched.
+        metal: (P,) bool, points known to be metal, at least one.
+    """
+    knots = light.new_tensor(SEARCHED_ROUGHNESS)
+    of_metal, _ = search_normals(samples.subset(metal), transfer.subset(metal), light, surface_normal[metal], knots)
+    nearby = nearest_neighbours(samples.position[metal], samples.position, ROUGHNESS_NEIGHBOURS)
+    roughness = of_metal[nearby].mean(1).argmin(1)
+    least = light.new_empty(len(metal))
+    for knot in roughness.unique():
+        chosen = roughness == knot
+        of_knot = search_normals(samples.subset(chosen), transfer.subset(chosen), light, surface_normal[chosen], knots[knot : knot + 1])
+        least[chosen] = of_knot[0][:, 0]
+    return least
 
 
 def search_normals(

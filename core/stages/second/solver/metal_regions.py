@@ -153,6 +153,21 @@ def confirm_metal(
     return best, least, confirmed
 
 
+def completed_metal(metal: torch.Tensor, adapt: Callable[[torch.Tensor], tuple[Solution, torch.Tensor]]) -> torch.Tensor:
+    """Return all points for an object that is mostly metal, unless its other points clearly contradict that.
+
+    Wrong normals make a part of a metal object look like a dielectric: on a metal figure, the underside of its base did.
+
+    Args:
+        metal: (P,) bool.
+        adapt: see `confirm_metal`.
+    """
+    if float(metal.float().mean()) <= MEAN_METALLIC_THRESHOLD or bool(metal.all()):
+        return metal
+    mixed, whole = (float(adapt(points)[1].sum()) for points in (metal, torch.ones_like(metal)))
+    return torch.ones_like(metal) if whole - mixed <= MIN_REGION_GAIN * mixed else metal
+
+
 def _least_gain(region: torch.Tensor) -> float:
     """Return the gain that a region (P,) bool needs, as a share of the robust error of all samples."""
     share = float(region.float().mean())

@@ -4,8 +4,8 @@
 1. Start: a few steps on some of the points from a medium and from a dark albedo; the better one is the start.
 2. Twice in the course of the steps, the brightest texels of the light are split into smaller ones. A copy without the split goes on beside
    the solver; it is given up after COARSE_STEPS unless it is clearly better, and is the result if it is so at the end.
-3. At the end, the normals of metal parts are searched, and a tint of the light moves into the albedo as far as the photographs leave it
-   open.
+3. At the end, the borders of metal parts are drawn once more and their normals searched, and a tint of the light moves into the albedo as
+   far as the photographs leave it open.
 """
 
 from __future__ import annotations
@@ -61,7 +61,8 @@ def run_solver(
         solver = coarse
     # Of an object that is metal as a whole, the first stage's reflections know the normals better.
     if not ended and bool((solver.metallic > 0).any()) and not solver.is_mostly_metal:
-        for _ in range(NORMAL_SEARCHES):
+        solver.grow_metal()
+        for _ in range(NORMAL_SEARCHES if bool((solver.metallic > 0).any()) else 0):
             solver.turn_metal()
             if on_step(STEPS):
                 break

@@ -9,7 +9,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
-from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals
+from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals, turned_metal_errors
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from irgspp.core.stages.second.solver.solver_run import NORMAL_SEARCHES, run_solver
 from sphere_on_floor import make, start
@@ -84,6 +84,26 @@ def test_the_solver_turns_metal_alone_and_keeps_the_surface():
     assert torch.equal(solver.roughness[~metal], roughness[~metal])
 
 
+def test_wrong_normals_hide_no_metal_and_make_none():
+    """Three quarters of the brass are known; the normals of the rest are wrong by 17 degrees or so."""
+    transfer, seen, (light, _, roughness, metallic) = make(900, 14)
+    metal = metallic > 0
+    wrong = seen.normal + 0.2 * torch.randn(seen.normal.shape, generator=torch.Generator().manual_seed(0))
+    wrong = wrong / wrong.norm(dim=1, keepdim=True)
+    known = metal & (seen.position[:, 0] > seen.position[metal, 0].quantile(0.25))
+    hidden = metal & ~known
+    seen = replace(seen, normal=torch.where(hidden[:, None], wrong, seen.normal))
+    solver = start(seen, transfer)
+    solver.light, solver.roughness, solver.metallic = light, roughness.clone(), known.float()
+    solver._update_model()
+    free = turned_metal_errors(seen, transfer, light, seen.normal, known)
+    dielectric, fixed = (least / seen.lengths for least in solver._search._least(solver._costs()))
+    assert free[hidden].mean() < 0.6 * fixed[hidden].mean()
+    assert float((free < dielectric)[metal].float().mean()) > 0.9 > 0.1 > float((free < dielectric)[~metal].float().mean())
+    solver.grow_metal()
+    assert torch.equal(solver.metallic > 0, metal)
+
+
 @pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 0.0), 0)])
 def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
     """Not on an object that is metal as a whole: its normals come from the first stage's reflections."""
@@ -92,11 +112,12 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
         metallic=torch.tensor(metallic),
         is_mostly_metal=sum(metallic) > 1.5,
         advance=lambda step: done.append("step"),
+        grow_metal=lambda: done.append("grow"),
         turn_metal=lambda: done.append("turn"),
         reduce_tint=lambda: done.append("tint"),
     )
     run_solver(solver)
-    assert done == ["step"] * STEPS + ["turn"] * turns + ["tint"]
+    assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["tint"]
 
 
 def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
