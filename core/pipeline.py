@@ -58,6 +58,7 @@ from .surface.texturing import textured_mesh
 from .surface.unwrap_process import UnwrapProcess
 
 SPHERE_FIX = "cut a capture out again by irgspp capture DATASET --sphere; of other datasets set data.centre, data.radius"
+NO_MASKS = "no masks: the surroundings are reconstructed, too; irgspp capture DATASET -o NEW cuts the object out first"
 COMPILING = "compiles kernels for this processor, once per version"
 
 
@@ -105,6 +106,8 @@ def reconstruct(
             data, memory, size = ready or _read(run / CAPTURE, run, settings, chosen, recorder, _recorded_size(run))
             folder.state.setdefault("textures", {"size": size.size, "why": size.why})
             recorder.message(size.line())
+            if not (data.has_alpha or data.format == "capture"):
+                recorder.message(NO_MASKS)
             plain = min(settings.surface.texels, size.size)
             settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
             settings = with_texture_size(settings, size.size)

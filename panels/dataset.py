@@ -12,12 +12,15 @@ import bpy
 
 from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.arrangement import is_imported_camera
+from ..irgspp_addon.importer.capture_file import CaptureSummary
 from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.properties import beside
 from .capture import draw_capture, draw_find_cameras
 from .capture_state import capture_of, problem_of, thumbnails
 from .images import image
+from .job_card import draw_last
 from .run_state import resolved
 from .sidebar import SidebarPanel, button, say, settings_column
 
@@ -52,6 +55,7 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
             draw_import(layout, settings, str(dataset), not problem)
         draw_inspection(layout, context, last_inspection(dataset))
         draw_summary(layout, context, settings.inspected)
+        draw_cut_out(layout, context, dataset, settings.inspected, capture)
         draw_capture(layout, context, dataset, capture)
         if is_imported_camera(context.object):
             button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
@@ -186,6 +190,28 @@ def draw_summary(layout: bpy.types.UILayout, context: bpy.types.Context, inspect
             say(row, context, text, width=0.73)
     for warning in facts["warnings"]:
         say(box, context, warning, icon="ERROR")
+
+
+def draw_cut_out(
+    layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, inspected: str, capture: CaptureSummary | None
+) -> None:
+    """Draw the button that cuts the object out of photographs that have cameras and no masks.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        dataset: that the user chose.
+        inspected: summary of the dataset as JSON; empty without one.
+        capture: summary of its capture.json; None without one.
+    """
+    facts = parsed(inspected)
+    if capture is not None or not facts or "none" not in (text for name, text in facts["rows"] if name == "masks"):
+        return
+    say(layout, context, "Without masks, the surroundings are reconstructed, too.", icon="INFO")
+    column = layout.column()
+    column.enabled = engine.status().usable
+    button(column, "irgspp.capture", "Cut Out the Object", "MOD_MASK", directory=str(dataset), marker=0.0, turntable="auto")
+    draw_last(layout, context, "capture", beside(resolved(dataset) or dataset, "_capture"))
 
 
 @lru_cache(maxsize=4)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Capture of bare photographs or a video: cameras, undistorted images, masks, exposure gains and true size, as a dataset folder.
 
-A person's sphere may choose the object. Cameras and the frame of the dataset are then those of the capture without it.
+Photographs of a dataset that has cameras keep these. A person's sphere may choose the object. Cameras and the frame of the dataset are then
+those of the capture without it.
 """
 
 from __future__ import annotations
@@ -29,6 +30,7 @@ from .chosen_sphere import check_sphere, chosen_sphere, other_things
 from .dataset_files import write_json, write_masks, write_model, write_transforms
 from .description import CaptureResult, describe, with_object_shown
 from .exposures import exposure_gains
+from .given_cameras import given_model, has_cameras
 from .marker import find_marker_scale
 from .near_surfaces import near_surfaces
 from .object_masks import ObjectMasks, cut_out
@@ -54,7 +56,7 @@ def capture(source: Path, folder: Path, settings: CaptureSettings, seed: int = 0
     that has succeeded.
 
     Args:
-        source: folder of photographs and videos, or a video; it is never changed.
+        source: folder of photographs and videos, a video, or a dataset with cameras and without masks; it is never changed.
         folder: folder to write.
         settings: settings of the capture.
         seed: seed of every random number generator.
@@ -134,14 +136,8 @@ def _claim(folder: Path) -> FileLock:
 
 
 def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress, inputs: dict[str, Any]) -> None:
-    photographs, left_out = read_photographs(source, folder, settings, progress)
-    _report_left_out(left_out, progress)
-    turntable = find_turntable(photographs, settings.turntable, progress)
-    model = find_poses(photographs, folder, settings, seed, progress, turntable)
-    _report_left_out(model.left_out, progress)
-    images = undistort_photographs(model, folder, settings.resolution, progress)
-    seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
-    posed, sphere = PosedPhotographs(model, images, seen, settings, seed, progress), chosen_sphere(settings)
+    posed, left_out = _posed(source, folder, settings, seed, progress)
+    model, images, seen, sphere = posed.model, posed.images, posed.seen, chosen_sphere(settings)
     found, frame = None, load_frame(folder, model, settings)
     if frame is None:
         write_json(folder / FILE, _running(inputs))  # other cameras than before: the dataset in the folder is no longer valid
@@ -154,7 +150,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     if sphere is not None:
         found = posed.cut_out(sphere.moved(np.linalg.inv(frame.similarity)))
     gains = exposure_gains(model, [one.view for one in images]) if seen is None else seen.gains
-    turns = None if turntable is None else light_rotations(images, frame.similarity)
+    turns = None if seen is None else light_rotations(images, frame.similarity)
     all_left_out = [*left_out, *model.left_out]
     result = CaptureResult(model, images, found, gains, frame.similarity, frame.true_size, all_left_out, turns, sphere)
     result = with_object_shown(result)
@@ -164,6 +160,26 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
     write_json(folder / FILE, _running(inputs))
     _write(result, folder, {"format": FORMAT, "status": "done", "inputs": inputs, "source": str(source), **describe(result)})
     progress.message(f"capture: {len(result.images)} photographs, report in {folder / 'report.html'}")
+
+
+def _posed(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress) -> tuple[PosedPhotographs, list[LeftOut]]:
+    """Return the photographs with the cameras that the dataset gives, or that are found, and those that are not usable."""
+    if has_cameras(source):
+        if settings.turntable == "on" or settings.marker is not None:
+            raise InputError(source, "has its cameras, to which a turntable or a marker can't be added", "name photographs without cameras")
+        model = given_model(source)
+        progress.message(f"the cameras of {len(model.posed)} photographs are those of the dataset")
+        return PosedPhotographs(
+            model, undistort_photographs(model, folder, settings.resolution, progress), None, settings, seed, progress
+        ), []
+    photographs, left_out = read_photographs(source, folder, settings, progress)
+    _report_left_out(left_out, progress)
+    turntable = find_turntable(photographs, settings.turntable, progress)
+    model = find_poses(photographs, folder, settings, seed, progress, turntable)
+    _report_left_out(model.left_out, progress)
+    images = undistort_photographs(model, folder, settings.resolution, progress)
+    seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
+    return PosedPhotographs(model, images, seen, settings, seed, progress), left_out
 
 
 @dataclass(frozen=True, eq=False)
@@ -195,7 +211,8 @@ class PosedPhotographs:
         if sphere is not None:
             check_sphere(sphere, [one.camera for one in self.images])
         given = {one.view.name: one.mask for one in self.images if one.mask is not None}
-        points = PointCloud(self.model.position.astype(np.float32), self.model.colour.astype(np.float32) / 255)
+        sparse = PointCloud(self.model.position.astype(np.float32), self.model.colour.astype(np.float32) / 255)
+        points = sparse if len(sparse.position) else None
         background = None if self.seen is None else self.seen.masks
         views = [one.view for one in self.images]
         return cut_out(views, points, self.settings, self.seed, self.progress, sphere, given or None, background)
@@ -206,10 +223,11 @@ class PosedPhotographs:
         Args:
             found: the object, cut out without a person's sphere; None where there is none.
         """
-        scale = _metres_per_unit(self.model, self.settings, self.progress)
+        metres = _metres_per_unit(self.model, self.settings, self.progress)
+        scale = 1.0 if self.model.error is None else metres  # a dataset keeps its unit
         bound = _scene_bound(self.model, self.images) if found is None else found.bound
         plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
-        return CapturedFrame(world_similarity([one.camera for one in self.images], bound, plane, scale), scale is not None)
+        return CapturedFrame(world_similarity([one.camera for one in self.images], bound, plane, scale), metres is not None)
 
 
 def _keep_edited_masks(folder: Path, progress: Progress) -> None:

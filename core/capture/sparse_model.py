@@ -37,7 +37,7 @@ class SparseModel:
         colour: (P, 3) uint8 sRGB.
         track_point, track_photograph: (T,) int32, the point and the index in `posed` of each observation.
         track_pixel: (T, 2) float32 place of each observation in the distorted upright image; the first pixel's centre is at (0.5, 0.5).
-        error: mean reprojection error, pixels.
+        error: mean reprojection error, pixels; None for cameras that a dataset gives, whose points have no observations.
         left_out: photographs that were not registered.
     """
 
@@ -47,7 +47,7 @@ class SparseModel:
     track_point: np.ndarray
     track_photograph: np.ndarray
     track_pixel: np.ndarray
-    error: float
+    error: float | None
     left_out: list[LeftOut]
 
     def subset(self, kept: Sequence[int]) -> SparseModel:
@@ -58,6 +58,8 @@ class SparseModel:
         """
         number = np.full(len(self.posed), -1, np.int32)
         number[list(kept)] = np.arange(len(kept))
+        if self.error is None:
+            return replace(self, posed=[self.posed[i] for i in kept])
         observed = number[self.track_photograph] >= 0
         points, track_point = np.unique(self.track_point[observed], return_inverse=True)
         return replace(

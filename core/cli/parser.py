@@ -67,7 +67,8 @@ def _add_capture(subparsers: Subparsers) -> None:
         "photographs without cameras, or a video, to a dataset: cameras, masks, exposures, true size",
         repeatable=True,
     )
-    source = "folder of photographs and videos, or a video; or a finished capture, to change its options in place"
+    source = "folder of photographs and videos, or a video; a dataset with cameras, out of which the object is cut; or a finished capture, "
+    source += "to change its options in place"
     one.add_argument("photographs", metavar="PHOTOS", type=Path, help=source)
     one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, help="folder to write; not needed for a finished capture")
     _capture_options(one)

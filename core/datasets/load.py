@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 
@@ -126,19 +127,23 @@ def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[
             yield split, view
 
 
-def full_size_frames(path: Path, settings: DataSettings, resolution: int = FULL_SIZE) -> list[PreparedFrame]:
-    """Return the training frames of a dataset whose images are on the disk, with their lenses at full size; none is decoded.
+def full_size_frames(
+    path: Path, settings: DataSettings, resolution: int = FULL_SIZE, split: Literal["train", "all"] = "train"
+) -> list[PreparedFrame]:
+    """Return the frames of a dataset whose images are on the disk, with their lenses at full size; none is decoded.
 
     Args:
         path: the dataset, as for `load_dataset`.
         settings: the settings that it was loaded with.
         resolution: longest side of the images, pixels.
+        split: training frames, or those of tests, too.
 
     Raises:
         InputError: if the dataset is missing or damaged.
     """
-    train, _ = _parse_dataset(path, settings).split(settings)
-    return prepare_frames(_with_image(train), replace(settings, resolution=resolution), [])
+    train, test = _parse_dataset(path, settings).split(settings)
+    frames = train if split == "train" else [*train, *test]
+    return prepare_frames(_with_image(frames), replace(settings, resolution=resolution), [])
 
 
 def load_novel_views(dataset: Dataset, settings: DataSettings, progress: Progress = Silent()) -> list[View]:  # noqa: B008 (immutable)

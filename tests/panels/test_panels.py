@@ -88,6 +88,17 @@ def test_what_was_found_and_its_problems(settings, tmp_path):
     assert settings.inspected == "" and "40 training" not in draw(dataset.IRGSPP_PT_dataset).words
 
 
+def test_the_object_of_posed_photographs_without_masks_can_be_cut_out(settings, tmp_path):
+    (tmp_path / "transforms.json").write_text("{}")
+    settings.dataset = str(tmp_path)
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    settings.inspected = json.dumps({"rows": ROWS, "warnings": []})
+    (button,) = draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    assert button.live and button.values["directory"] == str(tmp_path) and button.values["marker"] == 0
+    settings.inspected = json.dumps({"rows": [*ROWS[:-1], ["masks", "40 of 40 training views"]], "warnings": []})
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+
+
 def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
     (tmp_path / "transforms.json").write_text("{}")
     settings.dataset = str(tmp_path)
