@@ -34,7 +34,7 @@ def test_phases_run_in_order_and_are_recorded(tmp_path, stages):
     assert state["training"] == {"loss": 0.25, "psnr": 30.0}
     assert len(stages.times) == 1 and 0 < stages.times[0] <= sum(phase["seconds"] for phase in state["phases"].values())
     log = (run / "log.txt").read_text()
-    assert "b.png" in log and "takes about" in log
+    assert "b.png" in log and "takes about" in log and "no masks: the surroundings are reconstructed, too" in log
     with np.load(run / "previews" / "shape.npz") as shape:
         np.testing.assert_array_equal(shape["faces"], TRIANGLE.faces)
     assert not (run / "checkpoint").exists()
