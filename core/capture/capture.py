@@ -43,7 +43,7 @@ from .sparse_model import SparseModel
 from .static_background import SeenBackground, light_rotations
 from .turntable import find_turntable
 from .undistortion import UndistortedImage, undistort_photographs
-from .upright import world_similarity
+from .upright import is_wall, world_similarity
 
 LOCK = ".lock"
 EDITED = "edited_masks"  # copies of masks that were edited before the object was cut out again
@@ -227,7 +227,10 @@ class PosedPhotographs:
         scale = 1.0 if self.model.error is None else metres  # a dataset keeps its unit
         bound = _scene_bound(self.model, self.images) if found is None else found.bound
         plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
-        return CapturedFrame(world_similarity([one.camera for one in self.images], bound, plane, scale), metres is not None)
+        cameras = [one.camera for one in self.images]
+        if plane is not None and is_wall(cameras, plane[0]):
+            self.progress.message("the object is on a wall, which becomes the ground: it lies on its back in the dataset")
+        return CapturedFrame(world_similarity(cameras, bound, plane, scale), metres is not None)
 
 
 def _keep_edited_masks(folder: Path, progress: Progress) -> None:

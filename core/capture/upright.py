@@ -11,6 +11,19 @@ from ..datasets.up_direction import estimate_up, rotation_to_z
 from ..scene.camera import Camera
 from ..scene.dataset import Bound
 
+MIN_WALL_ANGLE = 75.0  # degrees between the cameras' up and the normal of a surface from which it is a wall
+
+
+def is_wall(cameras: Sequence[Camera], normal: np.ndarray) -> bool:
+    """Return True where a surface stands upright for those who photographed it.
+
+    Args:
+        cameras: cameras in the model's frame.
+        normal: (3,) unit normal of the surface, in the same frame.
+    """
+    up = estimate_up(cameras)
+    return bool(up @ normal < np.cos(np.radians(MIN_WALL_ANGLE)) * np.linalg.norm(up))
+
 
 def world_similarity(
     cameras: Sequence[Camera], bound: Bound, plane: tuple[np.ndarray, float] | None, metres_per_unit: float | None

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.capture.upright import world_similarity
+from irgspp.core.capture.upright import is_wall, world_similarity
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound
 from scipy.spatial.transform import Rotation
@@ -52,3 +52,11 @@ def test_a_camera_straight_above_leaves_the_heading():
     camera = Camera(64, 48, 60, 60, 32, 24, look_at((0, 0, 2), (0, 0, 0)))
     similarity = world_similarity([camera] * 3, Bound((0, 0, 0), 0.5), (np.array([0, 0, 1.0]), 0.0), None)
     np.testing.assert_allclose(similarity, np.diag([2, 2, 2, 1]), atol=1e-12)
+
+
+def test_a_wall_is_told_from_a_table():
+    around = [Camera(8, 8, 8.0, 8.0, 4.0, 4.0, look_at((3 * np.cos(a), 3 * np.sin(a), 1.5))) for a in np.linspace(0, 5, 9)]
+    assert not is_wall(around, np.array([0.0, 0.0, 1.0]))
+    assert is_wall(around, np.array([0.0, -1.0, 0.0]))
+    steep = [Camera(8, 8, 8.0, 8.0, 4.0, 4.0, look_at((np.cos(a), np.sin(a), 2.5))) for a in np.linspace(0, 1, 5)]  # from one side
+    assert not is_wall(steep, np.array([0.0, 0.0, 1.0]))
