@@ -18,6 +18,7 @@ from ..machine.freed_memory import keep_freed_memory
 from ..machine.out_of_resources import as_out_of_resources
 from ..progress.recorder import JobLog, JobRecorder
 from ..progress.terminal import Terminal
+from .option_values import decimal_words
 from .parser import parser
 
 JOB_FOLDER = "IRGSPP_JOB"  # environment variable
@@ -28,7 +29,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     keep_freed_memory()
     words = list(sys.argv[1:] if arguments is None else arguments)
     try:
-        args = parser().parse_args(words)
+        args = parser().parse_args(decimal_words(words))
     except SystemExit as end:
         return int(end.code or 0)
     with Terminal().signals() as terminal:

@@ -5,6 +5,19 @@ from __future__ import annotations
 
 import argparse
 import re
+from collections.abc import Sequence
+from decimal import Decimal
+
+NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}")
+
+
+def decimal_words(words: Sequence[str]) -> list[str]:
+    """Return command-line words with negative numbers such as -1e-05 written out, which argparse takes for an option.
+
+    Args:
+        words: after `irgspp`.
+    """
+    return [format(Decimal(word), "f") if NEGATIVE.fullmatch(word) else word for word in words]
 
 
 def positive(text: str) -> int:

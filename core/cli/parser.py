@@ -17,7 +17,7 @@ from ..settings.schema import PRESETS, preset
 from . import commands
 from . import render as render_command
 from . import serve as serve_command
-from .option_values import count, length, positive, seconds, texels
+from .option_values import count, decimal_words, length, positive, seconds, texels
 from .renderer_options import add_renderer_options
 
 Subparsers = Any  # what argparse returns has no public type
@@ -206,7 +206,7 @@ def check_words(words: Sequence[str]) -> None:
     output = io.StringIO()
     try:
         with contextlib.redirect_stderr(output), contextlib.redirect_stdout(output):
-            args = parser().parse_args(list(words))
+            args = parser().parse_args(decimal_words(words))
     except SystemExit:
         lines = output.getvalue().strip().splitlines()
         raise InputError(words[0], lines[-1].partition("error: ")[2] if lines else "is not a command of irgspp") from None

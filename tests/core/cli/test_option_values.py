@@ -4,7 +4,8 @@
 from argparse import ArgumentTypeError
 
 import pytest
-from irgspp.core.cli.option_values import count, length, positive, seconds, texels
+from irgspp.core.cli.option_values import count, decimal_words, length, positive, seconds, texels
+from irgspp.core.cli.parser import parser
 
 
 def test_units():
@@ -21,3 +22,10 @@ def test_units():
 def test_what_is_refused(parse, text):
     with pytest.raises(ArgumentTypeError, match=text):
         parse(text)
+
+
+def test_small_negative_numbers_are_no_options():
+    words = ["capture", "d", "--sphere", "1e-3", "-1.25e-05", "-3E2", "-0.5", "-e5", "-1e", "--set", "seed=-1e-5"]
+    assert decimal_words(words) == [*words[:4], "-0.0000125", "-300", *words[6:]]
+    args = parser().parse_args(decimal_words(words[:7]))
+    assert args.sphere == [1e-3, -1.25e-5, -300, -0.5]
