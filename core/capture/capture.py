@@ -169,9 +169,8 @@ def _posed(source: Path, folder: Path, settings: CaptureSettings, seed: int, pro
             raise InputError(source, "has its cameras, to which a turntable or a marker can't be added", "name photographs without cameras")
         model = given_model(source)
         progress.message(f"the cameras of {len(model.posed)} photographs are those of the dataset")
-        return PosedPhotographs(
-            model, undistort_photographs(model, folder, settings.resolution, progress), None, settings, seed, progress
-        ), []
+        images = undistort_photographs(model, folder, settings.resolution, progress)
+        return PosedPhotographs(model, images, None, settings, seed, progress), []
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
     turntable = find_turntable(photographs, settings.turntable, progress)
