@@ -229,7 +229,9 @@ class PosedPhotographs:
         cameras = [one.camera for one in self.images]
         if plane is not None and is_wall(cameras, plane[0]):
             self.progress.message("the object is on a wall, which becomes the ground: it lies on its back in the dataset")
-        return CapturedFrame(world_similarity(cameras, bound, plane, scale), metres is not None)
+        similarity = world_similarity(cameras, bound, plane, scale)
+        similarity[:3] *= self.settings.scale or 1.0
+        return CapturedFrame(similarity, metres is not None or self.settings.scale is not None)
 
 
 def _keep_edited_masks(folder: Path, progress: Progress) -> None:

@@ -14,6 +14,7 @@ from ..progress.terminal import Terminal
 from ..run_folder import SPHERE, read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
+from .option_values import distance
 from .quick_imports import quick_imports
 from .renderer_options import relight_settings
 
@@ -73,10 +74,13 @@ def capture(args: argparse.Namespace, terminal: Terminal) -> int:
     """
     with quick_imports():
         from ..capture.recapture import captured_inputs
+        from ..capture.true_size import with_true_size
 
     earlier = captured_inputs(args.photographs)
     folder = _capture_folder(args, earlier is not None)
     source, before, seed = earlier or (args.photographs, Settings().capture, 0)
+    if args.distance is not None:
+        before = with_true_size(before, folder, *distance(args.distance))
     settings = with_overrides(dataclasses.replace(Settings(), capture=before), [*capture_overrides(args), *args.set]).capture
     with quick_imports():
         from ..capture.capture import capture

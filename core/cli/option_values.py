@@ -8,6 +8,8 @@ import re
 from collections.abc import Sequence
 from decimal import Decimal
 
+from ..errors import InputError
+
 NEGATIVE = re.compile(r"-(\d+\.?\d*|\.\d+)[eE][-+]?\d{1,3}")
 
 
@@ -49,6 +51,22 @@ def seconds(text: str) -> float:
     if match is None:
         raise argparse.ArgumentTypeError(f"{text} is not a duration such as 90s, 5m or 1h")
     return float(match[1]) * {"": 1, "s": 1, "m": 60, "h": 3600}[match[2]]
+
+
+def distance(words: Sequence[str]) -> tuple[tuple[list[float], list[float]], float]:
+    """Parse X Y Z X Y Z LENGTH to two points and their distance in metres.
+
+    Args:
+        words: 7.
+
+    Raises:
+        InputError: if a word is no number, or the last one no length.
+    """
+    try:
+        numbers, metres = [float(word) for word in words[:6]], length(words[6])
+    except (ValueError, argparse.ArgumentTypeError) as error:
+        raise InputError("--distance", str(error), "give X Y Z of both ends, and their distance such as 12cm") from error
+    return (numbers[:3], numbers[3:]), metres
 
 
 def length(text: str) -> float:

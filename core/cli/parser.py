@@ -72,6 +72,9 @@ def _add_capture(subparsers: Subparsers) -> None:
     one.add_argument("photographs", metavar="PHOTOS", type=Path, help=source)
     one.add_argument("-o", dest="folder", metavar="DATASET", type=Path, help="folder to write; not needed for a finished capture")
     _capture_options(one)
+    ends = ("X", "Y", "Z", "X", "Y", "Z", "LENGTH")
+    known = "two points of a finished capture, in its coordinates, and their true distance such as 12cm: all lengths become metres"
+    one.add_argument("--distance", nargs=7, metavar=ends, help=known)
     one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
     _set_option(one)
 

@@ -32,6 +32,7 @@ class CaptureSettings:
     resolution: Annotated[int, Range(64, 4096)] = 640  # longest side of an image in which the object is cut out, pixels
     turntable: Choice = "auto"  # the object turns before a fixed camera; auto: where a background with texture stays at its pixels
     marker: Annotated[float | None, Range(1e-6)] = None  # side of the black square of an ArUco or AprilTag marker, metres
+    scale: Annotated[float | None, Range(1e-9)] = None  # factor of all lengths, which are metres then; set by `capture --distance`
     # A person's sphere about the object, in the frame and units of the dataset that is written without one; both or neither.
     centre: tuple[float, float, float] | None = None  # None: the object is found by itself
     radius: Annotated[float | None, Range(1e-6)] = None

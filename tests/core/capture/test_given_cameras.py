@@ -11,6 +11,7 @@ from irgspp.core.capture.capture import capture
 from irgspp.core.capture.exposures import exposure_gains
 from irgspp.core.capture.given_cameras import given_model, has_cameras
 from irgspp.core.capture.mask_consistency import overlap
+from irgspp.core.cli.main import main
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
 from irgspp.core.io.exr import rgb_channels, write_exr
@@ -68,6 +69,22 @@ def test_a_sphere_chooses_the_object_of_posed_photographs(posed, known_points, h
     capture(posed, folder, with_overrides(Settings(), sphere).capture, 0, heard())
     assert (folder / "transforms.json").read_text() == before
     assert json.loads((folder / "capture.json").read_text())["bound"]["radius"] == pytest.approx(1.1 * bound["radius"])
+
+
+def test_two_points_give_the_true_size_once_and_again(posed, table_scene, known_points, tmp_path, capsys):
+    folder = str(tmp_path / "cut")
+    assert main(["capture", str(posed), "-o", folder]) == 0
+    before = load_dataset(tmp_path / "cut")
+    assert main(["capture", folder, "--distance", "0", "0", "0", "0", "-1e-1", "0", "5mm"]) == 0
+    after, state = load_dataset(tmp_path / "cut"), json.loads((tmp_path / "cut" / "capture.json").read_text())
+    for one, other in zip(before.train, after.train, strict=True):
+        np.testing.assert_allclose(0.05 * one.camera.centre, other.camera.centre, atol=1e-6)
+    assert after.bound.radius == pytest.approx(0.05 * before.bound.radius, rel=1e-3)
+    assert state["metres_per_unit"] == 1.0 and after.surroundings.spacing == pytest.approx(0.05 * before.surroundings.spacing, rel=1e-3)
+    assert main(["capture", folder]) == 0  # finished before: nothing changes
+    assert load_dataset(tmp_path / "cut").bound == after.bound
+    assert main(["capture", str(posed), "-o", str(tmp_path / "new"), "--distance", *"000001", "5mm"]) == 2
+    assert "--distance: needs a finished capture" in capsys.readouterr().err
 
 
 def test_a_dataset_with_masks_is_refused(tmp_path):

@@ -4,8 +4,9 @@
 from argparse import ArgumentTypeError
 
 import pytest
-from irgspp.core.cli.option_values import count, decimal_words, length, positive, seconds, texels
+from irgspp.core.cli.option_values import count, decimal_words, distance, length, positive, seconds, texels
 from irgspp.core.cli.parser import parser
+from irgspp.core.errors import InputError
 
 
 def test_units():
@@ -29,3 +30,10 @@ def test_small_negative_numbers_are_no_options():
     assert decimal_words(words) == [*words[:4], "-0.0000125", "-300", *words[6:]]
     args = parser().parse_args(decimal_words(words[:7]))
     assert args.sphere == [1e-3, -1.25e-5, -300, -0.5]
+
+
+def test_a_distance_is_two_points_and_a_length():
+    assert distance(["0", "-1", "2.5", "1e-3", "0", "0", "12cm"]) == (([0, -1, 2.5], [1e-3, 0, 0]), 0.12)
+    for words in (["0", "0", "0", "1", "0", "x", "12cm"], ["0", "0", "0", "1", "0", "0", "12"]):
+        with pytest.raises(InputError, match="--distance"):
+            distance(words)

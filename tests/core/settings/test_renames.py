@@ -82,7 +82,8 @@ ADDED |= {
 }
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
-    f"capture.{name}" for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker", "centre", "radius")
+    f"capture.{name}"
+    for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker", "scale", "centre", "radius")
 }
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "first.gaussians=40000"]
 CHANGED += [
