@@ -88,6 +88,9 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
         step=0.1,
         precision=4,
     )
+    capture_distance: FloatProperty(
+        name="Distance (m)", description="True distance of the two measured points, in metres", default=0.0, min=0.0, precision=4
+    )
     capture_turntable: EnumProperty(**shared.TURNED, default="auto")
 
     # Reconstruct

@@ -9,7 +9,8 @@ import bpy
 
 from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.capture_file import CaptureSummary
-from ..irgspp_addon.importer.object_sphere import cut_settings
+from ..irgspp_addon.importer.measure import PARTS, find_ends
+from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere
 from ..irgspp_addon.importer.photographs import BarePhotographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import beside
@@ -79,6 +80,7 @@ def draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context, dataset
     if len(capture.left_out) > SHOWN:
         say(box, context, f"and {len(capture.left_out) - SHOWN} more; the report names them", icon="BLANK1")
     draw_cut(box, context, dataset)
+    draw_true_size(box, context, dataset)
     row = box.row(align=True)
     button(row, "wm.path_open", "Report", "URL", filepath=str(dataset / "report.html"))
     button(row, "irgspp.show_image", "Contact Sheet", "IMAGE_DATA", filepath=str(dataset / "contact_sheet.png"))
@@ -104,10 +106,31 @@ def draw_cut(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Pa
         button(column, "irgspp.capture", "Cut Out Again", "SPHERE", directory=str(dataset))
 
 
+def draw_true_size(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path) -> None:
+    """Draw the buttons that measure two points and set their true distance.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+        dataset: folder of a finished capture.
+    """
+    place = resolved(dataset) or dataset
+    if find_sphere(context.scene, place) is None:
+        return
+    if len(find_ends(context.scene, place)) < len(PARTS):
+        button(layout, "irgspp.place_ends", "Measure Two Points", "DRIVER_DISTANCE", directory=str(dataset))
+        return
+    column = settings_column(layout)
+    column.prop(context.scene.irgspp, "capture_distance")
+    row = layout.row()
+    row.enabled = engine.status().usable and context.scene.irgspp.capture_distance > 0
+    button(row, "irgspp.true_size", "Set True Size", "DRIVER_DISTANCE", directory=str(dataset))
+
+
 def capture_rows(capture: CaptureSummary) -> list[tuple[str, str]]:
     """Return names and texts of what a capture found: photographs, masks, size."""
     left_out = f", {len(capture.left_out)} left out" if capture.left_out else ""
     doubtful = f", {len(capture.doubtful)} doubtful: {', '.join(capture.doubtful[:SHOWN])}" if capture.doubtful else ""
     masks = f"{capture.masked}{doubtful}" if capture.masked else "none: the whole scene is reconstructed"
-    size = "true, in metres" if capture.true_size else "unknown; a printed marker in the photographs would tell"
+    size = "true, in metres" if capture.true_size else "unknown; a marker in the photographs or two measured points would tell"
     return [("Used", f"{capture.used} photographs{left_out}"), ("Masks", masks), ("Size", size)]

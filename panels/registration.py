@@ -21,7 +21,7 @@ from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
 from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
-from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light
+from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light, true_size
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import jobs as job_operators
@@ -54,6 +54,7 @@ CLASSES = (
     *asset_mark.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,
+    *true_size.CLASSES,
     *masks.CLASSES,
     *result_operators.CLASSES,
     *relight_operators.CLASSES,

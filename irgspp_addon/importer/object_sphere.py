@@ -98,11 +98,11 @@ def changed_sphere(scene: bpy.types.Scene, dataset: Path) -> tuple[np.ndarray, f
         dataset: path of the dataset.
     """
     sphere = find_sphere(scene, dataset.resolve())
-    root = None if sphere is None else _root(sphere)
+    root = None if sphere is None else root_of(sphere)
     if sphere is None or root is None or not is_changed(sphere):
         return None
     centre, radius = _bound(sphere)
-    to_own = np.linalg.inv(np.array(root[TO_WORLD], float).reshape(4, 4))
+    to_own = own_frame(root)
     return to_own[:3, :3] @ centre + to_own[:3, 3], radius * float(np.cbrt(np.linalg.det(to_own[:3, :3])))
 
 
@@ -118,18 +118,38 @@ def _equal(centre: np.ndarray, radius: float, bound: tuple[float, ...] | None) -
 
 def _bound(sphere: bpy.types.Object) -> tuple[np.ndarray, float]:
     """Return centre (3,) and radius in the engine's frame; of a stretched sphere the longest half-axis, so that nothing is cut off."""
-    root = _root(sphere)
-    if root is None or sphere.parent == root:
-        matrix = sphere.matrix_parent_inverse @ sphere.matrix_basis  # up to date also before the scene is evaluated
-    else:
-        matrix = root.matrix_world.inverted() @ sphere.matrix_world
-    values = np.array(matrix, float)
+    values = matrix_in_root(sphere)
     return values[:3, 3], float(np.linalg.norm(values[:3, :3], axis=0).max() * sphere.empty_display_size)
 
 
-def _root(sphere: bpy.types.Object) -> bpy.types.Object | None:
-    """Return the empty above the imported dataset, also where the user has given the sphere another parent; None if it is gone."""
-    if sphere.parent is not None and TO_WORLD in sphere.parent:
-        return sphere.parent
-    key = f"{sphere[KEY].rpartition('#')[0]}#root"
+def matrix_in_root(thing: bpy.types.Object) -> np.ndarray:
+    """Return the matrix (4, 4) of an imported object in the engine's frame.
+
+    Args:
+        thing: object of an imported dataset.
+    """
+    root = root_of(thing)
+    if root is None or thing.parent == root:
+        return np.array(thing.matrix_parent_inverse @ thing.matrix_basis, float)  # up to date also before the scene is evaluated
+    return np.array(root.matrix_world.inverted() @ thing.matrix_world, float)
+
+
+def own_frame(root: bpy.types.Object) -> np.ndarray:
+    """Return the similarity (4, 4) from the engine's frame to the dataset's own.
+
+    Args:
+        root: empty above the imported dataset.
+    """
+    return np.linalg.inv(np.array(root[TO_WORLD], float).reshape(4, 4))
+
+
+def root_of(thing: bpy.types.Object) -> bpy.types.Object | None:
+    """Return the empty above an imported dataset, also where the user has given its object another parent; None if it is gone.
+
+    Args:
+        thing: object of the dataset.
+    """
+    if thing.parent is not None and TO_WORLD in thing.parent:
+        return thing.parent
+    key = f"{thing[KEY].rpartition('#')[0]}#root"
     return next((thing for thing in bpy.data.objects if thing.get(KEY) == key), None)

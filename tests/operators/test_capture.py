@@ -12,7 +12,8 @@ from captured_dataset import CENTRE, RADIUS, write_state
 from engine_jobs import registry as registry
 from engine_jobs import until
 from irgspp.core.errors import IrgsppError
-from irgspp.irgspp_addon.importer.object_sphere import BOUND, bound_settings, find_sphere, is_changed
+from irgspp.irgspp_addon.importer.measure import PARTS, find_ends, place_ends
+from irgspp.irgspp_addon.importer.object_sphere import BOUND, bound_settings, find_sphere, is_changed, own_frame
 from irgspp.irgspp_addon.jobs import process as job_process
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.operators.capture import found
@@ -312,3 +313,37 @@ def test_resuming_goes_on_with_the_object_of_the_run(moved_sphere, monkeypatch, 
     run.mkdir()
     (run / "run.json").write_text("{}")
     assert asked(monkeypatch, dataset=str(folder), run=str(run), resume=True)[-1] == "--resume"
+
+
+# --- two measured points, which give the true size
+
+
+def test_two_measured_points_are_told_in_the_datasets_own_frame(photos, monkeypatch):
+    bpy.ops.irgspp.capture(directory=str(photos), wait=True)
+    folder = photos.with_name("photos_capture")
+    assert bpy.ops.irgspp.place_ends(directory=str(folder)) == {"FINISHED"}
+    ends, root = find_ends(bpy.context.scene, folder), sphere_of(folder).parent
+    assert set(bpy.context.selected_objects) == set(ends.values()) and all(end.parent == root for end in ends.values())
+    assert place_ends(bpy.context.scene, folder) == [ends[part] for part in PARTS]  # once
+    ends[PARTS[0]].location, ends[PARTS[1]].location = (0.1, 0.2, 0), (0.1, -0.3, 1e-6)
+    bpy.context.view_layer.update()
+    told, own = [], own_frame(root)
+    monkeypatch.setattr(jobs, "start", lambda kind, title, place, words, *rest: told.append(words))
+    assert bpy.ops.irgspp.true_size(directory=str(folder), distance=0.125, wait=False) == {"FINISHED"}
+    words = told[0]
+    assert words[:3] == ["capture", str(folder), "--distance"] and words[-1] == "0.125000000m"
+    expected = np.array([(0.1, 0.2, 0), (0.1, -0.3, 1e-6)]) @ own[:3, :3].T + own[:3, 3]
+    assert np.allclose([float(word) for word in words[3:-1]], expected.ravel(), atol=1e-6)
+
+
+def test_what_no_size_can_be_told_from(photos, tmp_path):
+    with pytest.raises(RuntimeError, match="is not a finished capture"):
+        bpy.ops.irgspp.place_ends(directory=str(tmp_path))
+    bpy.ops.irgspp.capture(directory=str(photos), wait=True, import_result=False)
+    folder = photos.with_name("photos_capture")
+    with pytest.raises(RuntimeError, match="is not in the scene"):
+        bpy.ops.irgspp.place_ends(directory=str(folder))
+    with pytest.raises(RuntimeError, match="no measured points"):
+        bpy.ops.irgspp.true_size(directory=str(folder), distance=1.0)
+    with pytest.raises(RuntimeError, match="distance: is 0"):
+        bpy.ops.irgspp.true_size(directory=str(folder))

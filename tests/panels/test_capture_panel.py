@@ -10,6 +10,7 @@ import pytest
 from captured_dataset import write_state
 from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.importer.mask_image import MASK
+from irgspp.irgspp_addon.importer.measure import PARTS
 from irgspp.irgspp_addon.importer.object_sphere import BOUND
 from irgspp.irgspp_addon.importer.ownership import KEY
 from irgspp.irgspp_addon.importer.placement import TO_WORLD
@@ -109,7 +110,7 @@ def test_what_a_capture_found_and_left_out(settings, tmp_path):
     drawn = draw(dataset.IRGSPP_PT_dataset)
     assert "Used 3 photographs, 6 left out" in drawn.words and "Masks 2, 1 doubtful: b" in drawn.words
     assert "Left out IMG_3.jpg: blurred" in drawn.words and "IMG_4.jpg" not in drawn.words and "2 more" in drawn.words
-    assert "unknown; a printed marker" in drawn.words and drawn.buttons("irgspp.import_dataset")
+    assert "unknown; a marker in the photographs or two measured points" in drawn.words and drawn.buttons("irgspp.import_dataset")
     assert drawn.buttons("wm.path_open")[0].values == {"filepath": str(folder / "report.html")}
     assert drawn.buttons("irgspp.show_image")[0].values == {"filepath": str(folder / "contact_sheet.png")}
     write_capture(folder, metres_per_unit=1.0, photographs=[{"name": "a", "mask": "none"}])
@@ -139,6 +140,22 @@ def test_the_sphere_is_named_where_it_counts(settings, tmp_path, monkeypatch):
     write_capture(tmp_path / "x_capture", bound={"centre": [0.1, 0, 0], "radius": 1.0})  # it has been cut out
     assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
     assert "What is inside the sphere x object is reconstructed" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+
+
+def test_two_points_are_measured_and_their_distance_is_set(settings, tmp_path, monkeypatch):
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "Engine 1"))
+    folder = write_capture(tmp_path / "x_capture").resolve()
+    settings.dataset = str(folder)
+    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.place_ends")  # it is not imported yet
+    for name in ("object", *PARTS):
+        thing = bpy.data.objects.new(name, None)
+        bpy.context.scene.collection.objects.link(thing)
+        thing[KEY] = f"{folder}#{name}"
+        drawn = draw(dataset.IRGSPP_PT_dataset)
+        assert bool(drawn.buttons("irgspp.place_ends")) is (name != PARTS[-1])
+    assert not drawn.buttons("irgspp.true_size")[0].live
+    settings.capture_distance = 0.12
+    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.true_size")[0].live
 
 
 def test_the_job_that_cuts_again_is_shown(settings, tmp_path):
