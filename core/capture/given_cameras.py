@@ -9,12 +9,12 @@ import numpy as np
 
 from ..datasets.format_detection import NoDataset, parse_dataset
 from ..datasets.load import OPAQUE, full_size_frames
+from ..datasets.parsed_dataset import MINIMUM_VIEWS
 from ..datasets.prepared_frames import PreparedFrame
 from ..errors import InputError
 from ..io.image import read_image, to_unit_range
 from ..settings.schema import DataSettings
 from .photograph import Photograph
-from .registration_report import check_count
 from .sparse_model import PosedPhotograph, SparseModel
 
 
@@ -34,19 +34,20 @@ def has_cameras(path: Path) -> bool:
 
 
 def given_model(dataset: Path) -> SparseModel:
-    """Return the photographs of a dataset with its cameras and sparse points, which no track connects.
+    """Return the photographs of a dataset but for declared test views, with its cameras and sparse points, which no track connects.
 
     Args:
         dataset: folder or file of a dataset in any known format.
 
     Raises:
-        InputError: if the dataset is damaged, its photographs can't be cut, or all have masks.
+        InputError: if the dataset is damaged, too few photographs are on the disk, one can't be cut, or all have masks.
     """
-    frames = full_size_frames(dataset, DataSettings(), split="all")
-    if frames and all(frame.frame.mask is not None or _is_cut(frame) for frame in frames):
+    frames = full_size_frames(dataset, DataSettings(), split="declared")
+    if len(frames) < MINIMUM_VIEWS:
+        raise InputError(dataset, f"has {len(frames)} photographs on the disk, at least {MINIMUM_VIEWS} are needed")
+    if all(frame.frame.mask is not None or _is_cut(frame) for frame in frames):
         raise InputError(dataset, "has masks already", "reconstruct it as it is")
     posed = [PosedPhotograph(_photograph(frame), frame.lens, frame.frame.to_world) for frame in frames]
-    check_count([one.photograph for one in posed])
     points, none = parse_dataset(dataset, DataSettings()).points, np.empty(0, np.int32)
     position = np.empty((0, 3)) if points is None else points.position.astype(np.float64)
     colour = np.empty((0, 3), np.uint8) if points is None else np.round(255 * points.colour).astype(np.uint8)

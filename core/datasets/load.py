@@ -128,7 +128,7 @@ def full_size_views(dataset: Dataset, settings: DataSettings) -> Iterator[tuple[
 
 
 def full_size_frames(
-    path: Path, settings: DataSettings, resolution: int = FULL_SIZE, split: Literal["train", "all"] = "train"
+    path: Path, settings: DataSettings, resolution: int = FULL_SIZE, split: Literal["train", "declared"] = "train"
 ) -> list[PreparedFrame]:
     """Return the frames of a dataset whose images are on the disk, with their lenses at full size; none is decoded.
 
@@ -136,13 +136,13 @@ def full_size_frames(
         path: the dataset, as for `load_dataset`.
         settings: the settings that it was loaded with.
         resolution: longest side of the images, pixels.
-        split: training frames, or those of tests, too.
+        split: training frames by the settings, or all that the dataset does not declare as test views.
 
     Raises:
         InputError: if the dataset is missing or damaged.
     """
-    train, test = _parse_dataset(path, settings).split(settings)
-    frames = train if split == "train" else [*train, *test]
+    parsed = _parse_dataset(path, settings)
+    frames = parsed.split(settings)[0] if split == "train" else parsed.train
     return prepare_frames(_with_image(frames), replace(settings, resolution=resolution), [])
 
 

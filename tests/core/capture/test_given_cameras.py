@@ -109,6 +109,21 @@ def test_linear_images_are_refused(posed):
         given_model(posed)
 
 
+def test_photographs_that_are_gone_are_counted(posed):
+    for number in range(len(list((posed / "images").glob("*.png"))) - 2):
+        (posed / "images" / f"view{number:02}.png").unlink()
+    with pytest.raises(InputError, match="has 2 photographs on the disk, at least 3 are needed"):
+        given_model(posed)
+
+
+def test_declared_test_views_stay_out(posed):
+    frames = json.loads((posed / "transforms.json").read_text())["frames"]
+    (posed / "transforms.json").unlink()
+    for split, part in (("train", frames[:-2]), ("test", frames[-2:])):
+        (posed / f"transforms_{split}.json").write_text(json.dumps({"frames": part}))
+    assert len(given_model(posed).posed) == len(frames) - 2
+
+
 def test_opaque_alpha_is_no_mask(posed):
     for file in (posed / "images").glob("*.png"):
         Image.open(file).convert("RGBA").save(file)
