@@ -15,6 +15,7 @@ from ..irgspp_addon.importer.capture_file import FILE, CaptureSummary, read_capt
 from ..irgspp_addon.importer.dataset_import import checked
 from ..irgspp_addon.importer.mask_image import save_masks
 from ..irgspp_addon.importer.object_sphere import cut_settings
+from ..irgspp_addon.importer.photographs import find_bare_photographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
@@ -35,7 +36,7 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
 
     directory: StringProperty(
         name="Photographs",
-        description="Folder of photographs without cameras, a video, or a capture that was stopped",
+        description="Folder of photographs, a video, a dataset with cameras and without masks, or a capture that was stopped",
         subtype="DIR_PATH",
         options=SKIP,
     )
@@ -94,7 +95,8 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         words += [*capture_words(self.marker, self.turntable), *set_words(self.settings)]
         data = {**result_import.place_of(scene), "source": str(source), "run": str(folder)}
         on_done = "import_capture" if self.import_result and not self.wait else None
-        return jobs.start("capture", f"Find cameras of {source.name}", folder, words, on_done, data)
+        task = "Find cameras" if find_bare_photographs(source) else "Cut out the object"
+        return jobs.start("capture", f"{task} of {source.name}", folder, words, on_done, data)
 
 
 def start_cut(scene: bpy.types.Scene, folder: Path, moved: list[str], on_done: str | None, data: dict[str, Any] | None = None) -> Job:
@@ -107,10 +109,26 @@ def start_cut(scene: bpy.types.Scene, folder: Path, moved: list[str], on_done: s
         on_done: name of the function that the finished job calls; None for none.
         data: more data for that function.
     """
+    options = [word for setting in moved for word in ("--set", setting)]
+    return start_change(scene, folder, f"Cut out the object of {folder.name}", options, on_done, data)
+
+
+def start_change(
+    scene: bpy.types.Scene, folder: Path, title: str, options: list[str], on_done: str | None, data: dict[str, Any] | None = None
+) -> Job:
+    """Start the job that makes a finished capture anew with other options.
+
+    Args:
+        scene: from which the job is started.
+        folder: folder of the capture.
+        title: of the job.
+        options: those that change, as command-line words.
+        on_done: name of the function that the finished job calls; None for none.
+        data: more data for that function.
+    """
     save_masks()  # what was painted is kept beside the new masks
-    words = ["capture", str(folder), *(word for setting in moved for word in ("--set", setting))]
     data = {**result_import.place_of(scene), "source": str(folder), "run": str(folder), **(data or {})}
-    return jobs.start("capture", f"Cut out the object of {folder.name}", folder, words, on_done, data)
+    return jobs.start("capture", title, folder, ["capture", str(folder), *options], on_done, data)
 
 
 def found(capture: CaptureSummary | None) -> str:

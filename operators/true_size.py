@@ -11,12 +11,9 @@ from bpy.props import BoolProperty, FloatProperty, StringProperty
 from ..core.errors import InputError
 from ..irgspp_addon.importer.capture_file import read_capture
 from ..irgspp_addon.importer.dataset_import import checked
-from ..irgspp_addon.importer.mask_image import save_masks
 from ..irgspp_addon.importer.measure import measured_points, place_ends
-from ..irgspp_addon.jobs import queue as jobs
-from ..irgspp_addon.jobs import result_import
 from .blocking import SKIP, WAIT, Queued, refusing, run_to_end
-from .capture import use_capture
+from .capture import start_change, use_capture
 
 FOLDER = {
     "name": "Captured Dataset",
@@ -84,11 +81,9 @@ class IRGSPP_OT_true_size(Queued, bpy.types.Operator):
         metres = self.distance if self.properties.is_property_set("distance") else scene.irgspp.capture_distance
         if metres <= 0:
             raise InputError("distance", "is 0", "enter the true distance of the measured points in metres")
-        words = ["capture", str(folder), "--distance", *(f"{value:.7g}" for value in measured_points(scene, folder).ravel())]
-        save_masks()  # what was painted is kept beside the new masks
-        data = {**result_import.place_of(scene), "source": str(folder), "run": str(folder)}
+        options = ["--distance", *(f"{value:.7g}" for value in measured_points(scene, folder).ravel()), f"{metres:.9f}m"]
         on_done = "import_capture" if self.import_result and not self.wait else None
-        job = jobs.start("capture", f"Set the true size of {folder.name}", folder, [*words, f"{metres:.9f}m"], on_done, data)
+        job = start_change(scene, folder, f"Set the true size of {folder.name}", options, on_done)
         ended = run_to_end(self, job) if self.wait else {"FINISHED"}
         if self.wait and ended == {"FINISHED"} and self.import_result:
             use_capture(scene, job, wait=True)

@@ -22,7 +22,7 @@ from ..errors import InputError
 from ..io.file_lock import FileLock
 from ..io.image import read_image
 from ..progress.protocol import Progress, Silent
-from ..scene.dataset import Bound, PointCloud
+from ..scene.dataset import Bound
 from ..scene.surroundings import save_surroundings
 from ..settings.schema import CaptureSettings
 from .captured_frame import CapturedFrame, load_frame
@@ -164,7 +164,7 @@ def _capture(source: Path, folder: Path, settings: CaptureSettings, seed: int, p
 
 def _posed(source: Path, folder: Path, settings: CaptureSettings, seed: int, progress: Progress) -> tuple[PosedPhotographs, list[LeftOut]]:
     """Return the photographs with the cameras that the dataset gives, or that are found, and those that are not usable."""
-    if has_cameras(source):
+    if has_cameras(source, progress):
         if settings.turntable == "on" or settings.marker is not None:
             raise InputError(source, "has its cameras, to which a turntable or a marker can't be added", "name photographs without cameras")
         model = given_model(source)
@@ -210,11 +210,9 @@ class PosedPhotographs:
         if sphere is not None:
             check_sphere(sphere, [one.camera for one in self.images])
         given = {one.view.name: one.mask for one in self.images if one.mask is not None}
-        sparse = PointCloud(self.model.position.astype(np.float32), self.model.colour.astype(np.float32) / 255)
-        points = sparse if len(sparse.position) else None
         background = None if self.seen is None else self.seen.masks
         views = [one.view for one in self.images]
-        return cut_out(views, points, self.settings, self.seed, self.progress, sphere, given or None, background)
+        return cut_out(views, self.model.points, self.settings, self.seed, self.progress, sphere, given or None, background)
 
     def frame(self, found: ObjectMasks | None) -> CapturedFrame:
         """Return the frame of the dataset.
@@ -223,7 +221,7 @@ class PosedPhotographs:
             found: the object, cut out without a person's sphere; None where there is none.
         """
         metres = _metres_per_unit(self.model, self.settings, self.progress)
-        scale = 1.0 if self.model.error is None else metres  # a dataset keeps its unit
+        scale = 1.0 if self.model.has_given_cameras else metres  # a dataset keeps its unit
         bound = _scene_bound(self.model, self.images) if found is None else found.bound
         plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
         cameras = [one.camera for one in self.images]

@@ -8,7 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from ..datasets.exposure import estimate_log_gains, point_colours, shrunk
-from ..scene.dataset import PointCloud, View
+from ..scene.dataset import View
 from .sparse_model import SparseModel
 
 
@@ -16,16 +16,16 @@ def exposure_gains(model: SparseModel, views: Sequence[View]) -> np.ndarray:
     """Return the linear gains (V, 3) of the registered photographs, of geometric mean 1.
 
     Args:
-        model: sparse model, whose tracks tell which photographs show a point; without tracks, those that look towards it.
+        model: sparse model, whose tracks tell which photographs show a point; without tracks, every photograph whose image it falls into.
         views: V undistorted images of `model.posed`, in the model's frame.
     """
-    if not len(model.position):
+    points = model.points
+    if points is None:
         return np.ones((len(views), 3))
     seen = None
     if len(model.track_point):
         seen = np.zeros((len(views), len(model.position)), bool)
         seen[model.track_photograph, model.track_point] = True
-    points = PointCloud(model.position.astype(np.float32), model.colour.astype(np.float32) / 255)
     return np.exp(shrunk(estimate_log_gains(point_colours(views, points, seen)), stated_log_gains(model)))
 
 

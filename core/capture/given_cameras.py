@@ -13,23 +13,28 @@ from ..datasets.parsed_dataset import MINIMUM_VIEWS
 from ..datasets.prepared_frames import PreparedFrame
 from ..errors import InputError
 from ..io.image import read_image, to_unit_range
+from ..progress.protocol import Progress
 from ..settings.schema import DataSettings
 from .photograph import Photograph
 from .sparse_model import PosedPhotograph, SparseModel
 
 
-def has_cameras(path: Path) -> bool:
+def has_cameras(path: Path, progress: Progress) -> bool:
     """Return True for a dataset whose photographs have cameras.
 
     Args:
         path: what the user named as photographs.
+        progress: is told where cameras can't be read, which are then searched.
     """
+    if path.is_file() or not path.exists():  # a video, or nothing
+        return False
     try:
         parse_dataset(path, DataSettings())
     except NoDataset:
         return False
-    except InputError:
-        return False  # cameras that can't be read are searched as if there were none
+    except InputError as error:
+        progress.message(f"warning: {error}; the cameras are searched instead")
+        return False
     return True
 
 
@@ -37,7 +42,7 @@ def given_model(dataset: Path) -> SparseModel:
     """Return the photographs of a dataset but for declared test views, with its cameras and sparse points, which no track connects.
 
     Args:
-        dataset: folder or file of a dataset in any known format.
+        dataset: folder of a dataset in any known format.
 
     Raises:
         InputError: if the dataset is damaged, too few photographs are on the disk, one can't be cut, or all have masks.

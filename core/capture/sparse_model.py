@@ -9,6 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ..datasets.parsed_dataset import Lens
+from ..scene.dataset import PointCloud
 from .photograph import LeftOut, Photograph
 
 
@@ -50,6 +51,18 @@ class SparseModel:
     error: float | None
     left_out: list[LeftOut]
 
+    @property
+    def has_given_cameras(self) -> bool:
+        """True where a dataset gave the cameras, and none was searched."""
+        return self.error is None
+
+    @property
+    def points(self) -> PointCloud | None:
+        """Points with colours in 0..1; None where there are none."""
+        if not len(self.position):
+            return None
+        return PointCloud(self.position.astype(np.float32), self.colour.astype(np.float32) / 255)
+
     def subset(self, kept: Sequence[int]) -> SparseModel:
         """Return the model of some of its photographs, and the points that they observe.
 
@@ -58,7 +71,7 @@ class SparseModel:
         """
         number = np.full(len(self.posed), -1, np.int32)
         number[list(kept)] = np.arange(len(kept))
-        if self.error is None:
+        if self.has_given_cameras:  # no observation says which points these photographs show
             return replace(self, posed=[self.posed[i] for i in kept])
         observed = number[self.track_photograph] >= 0
         points, track_point = np.unique(self.track_point[observed], return_inverse=True)

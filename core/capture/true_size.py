@@ -35,7 +35,7 @@ def with_true_size(settings: CaptureSettings, folder: Path, ends: Sequence[Seque
     if not (np.isfinite(length) and length > 0):
         raise InputError(WHERE, "names no two different points", "give X Y Z of both ends, and their distance such as 12cm")
     factor = metres / length
-    x, y, z = settings.centre or (0.0, 0.0, 0.0)
-    centre = None if settings.centre is None else (factor * x, factor * y, factor * z)
-    radius = None if settings.radius is None else factor * settings.radius
-    return replace(settings, scale=factor * (settings.scale or 1.0), centre=centre, radius=radius)
+    if settings.centre is not None and settings.radius is not None:
+        x, y, z = settings.centre
+        settings = replace(settings, centre=(factor * x, factor * y, factor * z), radius=factor * settings.radius)
+    return replace(settings, scale=factor * (settings.scale or 1.0))

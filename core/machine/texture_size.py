@@ -82,7 +82,7 @@ def size_by_pixels(settings: Settings, data: Dataset) -> TextureSize:
     if surface.albedo_detail == "off":
         return TextureSize(surface.texture_least, "without detail of the full-size photographs")
     if not may_take_detail(settings, data):
-        return TextureSize(surface.texture_least, "the photographs are not larger than the working resolution")
+        return TextureSize(surface.texture_least, "the photographs are not larger than data.resolution and not finer than the Gaussians")
     pixels = data.outline_pixels * data.reduction**2
     about = f"about {pixels:,.0f} pixels of a full-size photograph show the object"
     return TextureSize(texels_along(surface, pixels), about)

@@ -9,7 +9,7 @@ import bpy
 import numpy as np
 
 from ...core.errors import InputError
-from .object_sphere import find_sphere, matrix_in_root, own_frame, root_of
+from .object_sphere import bound_in_root, find_sphere, matrix_in_root, own_frame, root_of
 from .ownership import KEY, Owner, put
 
 PARTS = ("measured end 1", "measured end 2")  # of the owner
@@ -30,8 +30,7 @@ def place_ends(scene: bpy.types.Scene, dataset: Path) -> list[bpy.types.Object]:
     root = None if sphere is None else root_of(sphere)
     if sphere is None or root is None:
         raise InputError(dataset, "is not in the scene", "import its cameras first")
-    matrix = matrix_in_root(sphere)
-    centre, radius = matrix[:3, 3], float(np.linalg.norm(matrix[:3, :3], axis=0).max() * sphere.empty_display_size)
+    centre, radius = bound_in_root(sphere)
     owner, ends = Owner(dataset), find_ends(scene, dataset)
     for part, side in zip(PARTS, (-1.0, 1.0), strict=True):
         if part not in ends:

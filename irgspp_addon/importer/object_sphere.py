@@ -58,7 +58,7 @@ def is_changed(sphere: bpy.types.Object) -> bool:
     """Return True if the user has moved or scaled the sphere."""
     if BOUND not in sphere:
         return False
-    before, (centre, radius) = np.array(sphere[BOUND], float), _bound(sphere)
+    before, (centre, radius) = np.array(sphere[BOUND], float), bound_in_root(sphere)
     allowed = TOLERANCE * before[3]
     return bool(np.abs(centre - before[:3]).max() > allowed or abs(radius - before[3]) > allowed)
 
@@ -101,7 +101,7 @@ def changed_sphere(scene: bpy.types.Scene, dataset: Path) -> tuple[np.ndarray, f
     root = None if sphere is None else root_of(sphere)
     if sphere is None or root is None or not is_changed(sphere):
         return None
-    centre, radius = _bound(sphere)
+    centre, radius = bound_in_root(sphere)
     to_own = own_frame(root)
     return to_own[:3, :3] @ centre + to_own[:3, 3], radius * float(np.cbrt(np.linalg.det(to_own[:3, :3])))
 
@@ -116,8 +116,12 @@ def _equal(centre: np.ndarray, radius: float, bound: tuple[float, ...] | None) -
     return bound is not None and bool(np.abs(np.array([*centre, radius]) - bound).max() <= TOLERANCE * bound[3])
 
 
-def _bound(sphere: bpy.types.Object) -> tuple[np.ndarray, float]:
-    """Return centre (3,) and radius in the engine's frame; of a stretched sphere the longest half-axis, so that nothing is cut off."""
+def bound_in_root(sphere: bpy.types.Object) -> tuple[np.ndarray, float]:
+    """Return centre (3,) and radius in the engine's frame; of a stretched sphere the longest half-axis, so that nothing is cut off.
+
+    Args:
+        sphere: sphere of an imported dataset.
+    """
     values = matrix_in_root(sphere)
     return values[:3, 3], float(np.linalg.norm(values[:3, :3], axis=0).max() * sphere.empty_display_size)
 

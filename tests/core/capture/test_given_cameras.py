@@ -2,7 +2,7 @@
 """Photographs of a dataset with cameras: the object is cut out, and the cameras stay."""
 
 import json
-import shutil
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -71,7 +71,7 @@ def test_a_sphere_chooses_the_object_of_posed_photographs(posed, known_points, h
     assert json.loads((folder / "capture.json").read_text())["bound"]["radius"] == pytest.approx(1.1 * bound["radius"])
 
 
-def test_two_points_give_the_true_size_once_and_again(posed, table_scene, known_points, tmp_path, capsys):
+def test_two_points_give_the_true_size(posed, table_scene, known_points, tmp_path, capsys):
     folder = str(tmp_path / "cut")
     assert main(["capture", str(posed), "-o", folder]) == 0
     before = load_dataset(tmp_path / "cut")
@@ -134,11 +134,18 @@ def test_exposures_need_no_tracks(posed, table_scene):
     model = given_model(posed)
     assert model.error is None and not len(model.track_point)
     np.testing.assert_array_equal(exposure_gains(model, table_scene.views), 1)  # no points either
+    place = table_scene.points.position.astype(np.float64)
+    points = replace(model, position=place, colour=np.full((len(place), 3), 128, np.uint8))
+    darker = [replace(view, colour=view.colour * (0.8 if i % 2 else 1)) for i, view in enumerate(table_scene.views)]
+    gains = exposure_gains(points, darker).mean(1)
+    assert gains[1::2].max() < 0.9 < gains[::2].min()
 
 
-def test_bare_and_damaged_cameras_are_searched(posed):
-    assert has_cameras(posed)
+def test_bare_and_damaged_cameras_are_searched(posed, heard):
+    progress = heard()
+    assert has_cameras(posed, progress) and not progress.messages
     (posed / "transforms.json").write_text("{")
-    assert not has_cameras(posed)
-    shutil.rmtree(posed / "images")
-    assert not has_cameras(posed) and not has_cameras(posed / "gone")
+    assert not has_cameras(posed, progress)
+    assert len(progress.messages) == 1 and "transforms.json" in progress.messages[0] and "searched instead" in progress.messages[0]
+    (posed / "transforms.json").unlink()
+    assert not has_cameras(posed, progress) and not has_cameras(posed / "gone", progress) and len(progress.messages) == 1

@@ -165,7 +165,7 @@ class LightMaterialSolver:
         self._update_model()
 
     def grow_metal(self) -> None:
-        """Redraw the borders of metal with free normals; at least one point is metal."""
+        """Redraw the borders of metal with searched normals, too; at least one point is metal."""
         costs = self._costs()
         self._set_materials(costs, self._search.grown_metal(costs, self.metallic > 0, self.light, self.surface_normal), with_prior=True)
 

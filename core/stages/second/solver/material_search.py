@@ -8,7 +8,7 @@ import copy
 import torch
 
 from ....shading.specular_albedo import diffuse_fraction
-from .metal_cut import HALF_FREE_PRIOR, cut_metal, within_rings
+from .metal_cut import SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
 from .metal_normals import turned_metal_errors
 from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
@@ -122,7 +122,10 @@ class MaterialSearch:
         return cut_metal((dielectric / conductor).log(), metal, self._neighbours, self._similarity)
 
     def grown_metal(self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, surface_normal: torch.Tensor) -> torch.Tensor:
-        """Redraw the borders of metal by its reflections, half with free normals: wrong ones make a part of it look like a dielectric.
+        """Redraw the borders of metal with searched normals, too: wrong ones make a part of it look like a dielectric.
+
+        A metal's error is the geometric mean of that with the surface's normal and that with the best one near it. By the latter alone,
+        metal spread to what mirrors it.
 
         Args:
             costs: (P, M, J), see `costs`.
@@ -135,8 +138,8 @@ class MaterialSearch:
         turned = turned_metal_errors(samples, transfer, light, surface_normal[near], metal[near]) + NOISE_ERROR
         dielectric, conductor = (least[near] / self._views + NOISE_ERROR for least in self._least(costs))
         evidence = light.new_zeros(len(metal))
-        evidence[near] = dielectric.log() - (conductor.log() + turned.log()) / 2  # free normals alone let it spread to what mirrors it
-        return cut_metal(evidence, metal, self._neighbours, self._similarity, HALF_FREE_PRIOR)
+        evidence[near] = dielectric.log() - (conductor.log() + turned.log()) / 2
+        return cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""

@@ -51,7 +51,7 @@ def reflected_normals(
 def turned_metal_errors(
     samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, surface_normal: torch.Tensor, metal: torch.Tensor
 ) -> torch.Tensor:
-    """Return the least error of a view (P,) of points as metal with any normal near the surface's, and the roughness of the metal nearby.
+    """Compute the error of points as metal, with the best normal near the surface's, and with the roughness of the metal nearby.
 
     Args:
         samples: K samples of P points.
@@ -59,6 +59,9 @@ def turned_metal_errors(
         light: (T, 3) linear radiance of the texels.
         surface_normal: (P, 3) unit normals of the surface, around which is searched.
         metal: (P,) bool, points known to be metal, at least one.
+
+    Returns:
+        (P,) mean error of a view, with what the turn costs.
     """
     knots = light.new_tensor(SEARCHED_ROUGHNESS)
     of_metal, _ = search_normals(samples.subset(metal), transfer.subset(metal), light, surface_normal[metal], knots)
