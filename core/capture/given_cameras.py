@@ -16,6 +16,7 @@ from ..io.image import read_image, to_unit_range
 from ..progress.protocol import Progress
 from ..settings.schema import DataSettings
 from .photograph import Photograph
+from .photograph_files import VIDEOS
 from .sparse_model import PosedPhotograph, SparseModel
 
 
@@ -26,7 +27,7 @@ def has_cameras(path: Path, progress: Progress) -> bool:
         path: what the user named as photographs.
         progress: is told where cameras can't be read, which are then searched.
     """
-    if path.is_file() or not path.exists():  # a video, or nothing
+    if path.suffix.lower() in VIDEOS or not path.exists():
         return False
     try:
         parse_dataset(path, DataSettings())
@@ -42,7 +43,7 @@ def given_model(dataset: Path) -> SparseModel:
     """Return the photographs of a dataset but for declared test views, with its cameras and sparse points, which no track connects.
 
     Args:
-        dataset: folder of a dataset in any known format.
+        dataset: folder or file of a dataset in any known format.
 
     Raises:
         InputError: if the dataset is damaged, too few photographs are on the disk, one can't be cut, or all have masks.

@@ -143,7 +143,7 @@ def test_exposures_need_no_tracks(posed, table_scene):
 
 def test_bare_and_damaged_cameras_are_searched(posed, heard):
     progress = heard()
-    assert has_cameras(posed, progress) and not progress.messages
+    assert has_cameras(posed, progress) and has_cameras(posed / "transforms.json", progress) and not progress.messages
     (posed / "transforms.json").write_text("{")
     assert not has_cameras(posed, progress)
     assert len(progress.messages) == 1 and "transforms.json" in progress.messages[0] and "searched instead" in progress.messages[0]
