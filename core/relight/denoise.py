@@ -48,6 +48,7 @@ class Filter:
 
 IMAGE = DIFFUSE = Filter(2, 7)
 SPECULAR = Filter(1.5, 7)
+LEAST_ALBEDO = 1e-3  # of a lobe, by which its light is divided
 CHANCE_ERROR = 2.0  # assumed relative error of the diffuse light times the number of samples: few samples may agree by chance
 
 
@@ -85,10 +86,15 @@ class Guides:
         surface: covered pixels of a view.
         radius: scene radius, world units.
         keep_weights: keep the weights from one filter call to the next, 1.2 kB per pixel.
+
+    Attributes:
+        diffuse: (P, 3) albedo of the diffuse lobe, by which its light is divided before it is filtered.
+        specular: (P, 3) the same of the specular lobe.
     """
 
     def __init__(self, surface: PrimaryHits, radius: float, keep_weights: bool = False) -> None:
         self._grid, self._radius, self._keep_weights = Grid(surface.camera.width, surface.camera.height), radius, keep_weights
+        self.diffuse, self.specular = _lobe_albedos(surface)
         self._weights: dict[Filter, np.ndarray] = {}
         self._index = surface.index if by_warp(surface.index) else None  # on a GPU
         if self._index is not None:
@@ -165,13 +171,18 @@ def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str
         return estimate.diffuse + estimate.specular
     if mode == "paper":
         return guides.filtered(estimate.diffuse + estimate.specular, IMAGE)
-    diffuse = (surface.albedo * (1 - surface.metallic[:, None])).clamp_min(1e-3)
-    n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
-    specular = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None])).clamp_min(1e-3)
-    chance = (CHANCE_ERROR / estimate.samples) ** 2
+    chance, diffuse, specular = (CHANCE_ERROR / estimate.samples) ** 2, guides.diffuse, guides.specular
     filtered_diffuse = corrected(estimate.diffuse / diffuse, estimate.diffuse_split / diffuse, chance, guides, DIFFUSE)
     filtered_specular = corrected(estimate.specular / specular, estimate.specular_split / specular, 0.0, guides, SPECULAR)
     return filtered_diffuse * diffuse + filtered_specular * specular
+
+
+def _lobe_albedos(surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the albedo of the diffuse lobe and that of the specular lobe, (P, 3) each, not 0."""
+    diffuse = surface.albedo * (1 - surface.metallic[:, None])
+    n_v = (surface.view * surface.normal).sum(-1).clamp(1e-3, 1)
+    specular = specular_albedo(n_v, surface.roughness, base_reflectance(surface.albedo, surface.metallic[:, None]))
+    return diffuse.clamp_min(LEAST_ALBEDO), specular.clamp_min(LEAST_ALBEDO)
 
 
 def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:

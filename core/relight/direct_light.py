@@ -63,8 +63,7 @@ def add_light_samples(
     ends = np.cumsum(traced)
     pending = [(int(end - count), int(end)) for end, count in zip(ends, traced, strict=True) if count]
     if pending:
-        radiance = light.table[..., 4:].reshape(-1, 3).contiguous().numpy()
-        run_ranges(settle_range, pending, sample, weights, hidden.numpy(), radiance, sums.numpy())
+        run_ranges(settle_range, pending, sample, weights, hidden.numpy(), table, sums.numpy())
     return above, len(sample)
 
 

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import torch
 
 from ..shading.brdf import base_reflectance, bend_view_to_normal
+from ..shading.environment_lookup import direction_to_uv
 from ..shading.specular_albedo import diffuse_fraction
 from .indirect_light import SUMS
 from .prepared_light import PreparedLight
@@ -39,13 +40,34 @@ class Estimate:
     samples: int
 
 
+@dataclass(frozen=True, eq=False)
+class Reflectance:
+    """What P surface points make of the light that arrives, the same under every light.
+
+    Attributes:
+        diffuse: (P, 3) radiance of the diffuse lobe per irradiance.
+        f0: (P, 3) reflectance of the specular lobe at normal incidence.
+        place: (2, P) u, v of the normal in a light map.
+    """
+
+    diffuse: torch.Tensor
+    f0: torch.Tensor
+    place: torch.Tensor
+
+    @classmethod
+    def of(cls, surface: PrimaryHits, conserving: bool) -> Reflectance:
+        """Return the reflectance of P points.
+
+        Args:
+            surface: the points.
+            conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
+        """
+        f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
+        return cls(diffuse_albedo(surface, conserving) / math.pi, f0, torch.stack(direction_to_uv(surface.normal)))
+
+
 def estimate_reflected_light(
-    sums: torch.Tensor,
-    samples: int,
-    surface: PrimaryHits,
-    light: PreparedLight,
-    conserving: bool,
-    ratio: bool = True,
+    sums: torch.Tensor, samples: int, reflectance: Reflectance, light: PreparedLight, ratio: bool = True
 ) -> Estimate:
     """Turn the sums of `gather` into reflected light.
 
@@ -55,18 +77,16 @@ def estimate_reflected_light(
     Args:
         sums: (P, 2, 12) sums over even and odd samples; with lamps (P, 2, 21), the last nine from `lamp_sums`.
         samples: samples per point.
-        surface: the P points.
+        reflectance: of the P points.
         light: the light of the sums.
-        conserving: reduce the diffuse lobe by what the specular lobe reflects, see `reflect_light`.
         ratio: use the known irradiance; False: the plain sums over samples, as in the paper.
     """
     sums, lamps = sums[..., :SUMS], sums[..., SUMS:]
     (irradiance, f0_term, fresnel_term, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
-    albedo = diffuse_albedo(surface, conserving) / math.pi
-    f0 = base_reflectance(surface.albedo, surface.metallic[:, None])
+    albedo, f0 = reflectance.diffuse, reflectance.f0
     body, diffuse_split = albedo, albedo * split[:, 0]
     if ratio:
-        known = light.irradiance(surface.normal)
+        known = light.irradiance_at(*reflectance.place)
         factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
         body = albedo * factor
         visible_fraction = irradiance / unoccluded.clamp_min(1e-30)

@@ -8,6 +8,7 @@ reflects the irradiance of the mesh's vertices around it, and the prefiltered li
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import Any
 
 import torch
@@ -202,7 +203,7 @@ class SecondaryRays:
     hits: HitReflectance
     surfaces: HitSurfaces | None = None
 
-    @property
+    @cached_property
     def traced(self) -> int:
         """Count the rays above the horizon."""
         return int((self.terms[..., COSINE] > 0).sum())

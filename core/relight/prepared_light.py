@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ..rendering.gbuffer import downsampled_light
-from ..shading.environment_lookup import lookup
+from ..shading.environment_lookup import direction_to_uv, lookup, lookup_at
 from ..shading.sampling import LightDistribution
 from ..shading.split_sum import diffuse_light, specular_light
 
@@ -55,13 +55,15 @@ class PreparedLight:
 
     def irradiance(self, normal: torch.Tensor) -> torch.Tensor:
         """Return the unoccluded irradiance (P, 3) of surfaces with unit normals (P, 3)."""
-        return lookup(self.diffuse, self.unturned(normal)) * math.pi
+        return self.irradiance_at(*direction_to_uv(normal))
 
-    def unturned(self, direction: torch.Tensor) -> torch.Tensor:
-        """Rotate directions (P, 3) into the frame of the maps."""
-        cosine, sine = math.cos(2 * math.pi * self.turn), math.sin(2 * math.pi * self.turn)
-        x, y, z = direction.unbind(-1)
-        return torch.stack([cosine * x + sine * y, cosine * y - sine * x, z], -1)
+    def irradiance_at(self, u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
+        """Return the unoccluded irradiance (P, 3) of surfaces whose normals have u, v, (P,) each, in the map before it was rotated."""
+        return lookup_at(self.diffuse, self.turned_u(u), v) * math.pi
+
+    def turned_u(self, u: torch.Tensor) -> torch.Tensor:
+        """Return the coordinates u (P,) in the maps of directions that have `u` (P,) before the light was rotated."""
+        return (u + self.turn) % 1
 
 
 def prepare_light(light: np.ndarray, device: torch.device | str = "cpu") -> PreparedLight:
@@ -75,7 +77,7 @@ def prepare_light(light: np.ndarray, device: torch.device | str = "cpu") -> Prep
     small = downsampled_light(light).to(device)
     distribution = LightDistribution(radiance) if float(radiance.max()) > 0 else None
     table = radiance.new_zeros(0, 0, 7) if distribution is None else _table(radiance, distribution)
-    return PreparedLight(radiance, distribution, diffuse_light(small), specular_light(small), table)
+    return PreparedLight(radiance, distribution, diffuse_light(small).contiguous(), specular_light(small).contiguous(), table)
 
 
 def _table(radiance: torch.Tensor, distribution: LightDistribution) -> torch.Tensor:

@@ -89,6 +89,7 @@ class DividedHits:
         rays: rays of the other pixels, as hits of a camera with as many pixels as this one has rays.
         ray_row: (R,) row of each ray's pixel.
         share: (R,) of the ray in its pixel's opacity; the shares of a pixel sum to 1.
+        count: P.
     """
 
     single: PrimaryHits
@@ -96,6 +97,7 @@ class DividedHits:
     rays: PrimaryHits
     ray_row: torch.Tensor
     share: torch.Tensor
+    count: int
 
     @classmethod
     def of(cls, surface: PrimaryHits, rays: PrimaryHits) -> DividedHits:
@@ -110,11 +112,11 @@ class DividedHits:
         row = torch.searchsorted(surface.index, fine_row // side * width + fine_column // side)
         opacity = torch.zeros_like(surface.alpha).index_add(0, row, rays.alpha)
         single_row = torch.nonzero(opacity == 0)[:, 0]
-        return cls(surface.only(single_row), single_row, rays, row, rays.alpha / opacity[row])
+        return cls(surface.only(single_row), single_row, rays, row, rays.alpha / opacity[row], len(surface.index))
 
     def joined(self, of_single: torch.Tensor, of_rays: torch.Tensor) -> torch.Tensor:
         """Return the values (P, 3) of all pixels, of those of the single points (K, 3) and those of the rays (R, 3)."""
-        pixels = of_single.new_zeros(len(self.single_row) + int(self.ray_row.unique().numel()), 3)
+        pixels = of_single.new_zeros(self.count, 3)
         return pixels.index_copy(0, self.single_row, of_single).index_add(0, self.ray_row, of_rays * self.share[:, None])
 
 

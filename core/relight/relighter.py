@@ -26,7 +26,7 @@ from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
-from .estimate import Estimate, estimate_reflected_light, joined_estimate
+from .estimate import Estimate, Reflectance, estimate_reflected_light, joined_estimate
 from .image_noise import MAX_ROUNDS, PILOT_SAMPLES, estimate_noise
 from .indirect_light import SUMS, SecondaryScene, ShadingPoints, gather, trace_samples
 from .lamp_light import bounced_sums, lamp_sums, samples_per_lamp
@@ -78,11 +78,13 @@ class Relighter:
             what = "conserving is of the principled BRDF, and IRGS' has a full diffuse lobe"
             raise InputError("--diffuse", what, "leave it out, or add --brdf principled")
         self.conserving = self.brdf == "principled" and settings.conserving is not False
+        self._mostly_metallic = is_mostly_metallic(reconstruction)
         self.counts = self._counts_of(settings.samples)
         self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
         self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[SampleCounts, int], CachedRays]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
+        self._reflectances: WeakKeyDictionary[PrimaryHits, Reflectance] = WeakKeyDictionary()
         self.tally = RayCounter()
         self.estimated_error = 0.0  # of the last image, if settings.error is set
 
@@ -171,7 +173,9 @@ class Relighter:
     def _estimate(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> Estimate:
         """Estimate the light that points reflect, by as many samples at each."""
         sums = self._sums(surface, counts, light, lamps)
-        return estimate_reflected_light(sums, sum(counts), surface, light, self.conserving, self.settings.ratio)
+        if surface not in self._reflectances:
+            self._reflectances[surface] = Reflectance.of(surface, self.conserving)
+        return estimate_reflected_light(sums, sum(counts), self._reflectances[surface], light, self.settings.ratio)
 
     @torch.no_grad()
     def _relit(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
@@ -200,7 +204,7 @@ class Relighter:
 
     def _counts_of(self, samples: str | int) -> SampleCounts:
         """Return the samples of each strategy for a number of samples."""
-        return sample_counts(samples, is_mostly_metallic(self.reconstruction), self.settings.allocation)
+        return sample_counts(samples, self._mostly_metallic, self.settings.allocation)
 
     def _guides_of(self, surface: PrimaryHits) -> Guides:
         """Return the guide layers of a surface, kept as long as it lives."""

@@ -18,7 +18,7 @@ from ..kernels.cpu.vertex_light import bounce_range, visible_light_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
-from ..shading.environment_lookup import direction_to_uv, lookup, texel_directions
+from ..shading.environment_lookup import direction_to_uv, lookup_at
 from ..shading.sampling import cosine_directions
 from .mesh_tracer import MeshTracer
 from .prepared_light import PreparedLight
@@ -49,6 +49,7 @@ class VertexTransfer:
         self.count = len(mesh.vertices)
         self._vertices, self._tree = mesh.vertices, None
         self._normal = torch.from_numpy(np.ascontiguousarray(mesh.normals, np.float32)).to(device)
+        self._place = direction_to_uv(self._normal)
         self._albedo = torch.from_numpy(np.ascontiguousarray(mesh.albedo, np.float32)).to(device)
         self._faces = torch.from_numpy(mesh.faces.astype(np.int64)).to(device)
         origin = torch.from_numpy(np.ascontiguousarray(mesh.vertices, np.float32)).to(device) + CLEARANCE * radius * self._normal
@@ -69,7 +70,7 @@ class VertexTransfer:
         """
         kept = self._lit.get(light)
         if kept is None or kept[0] is not scale:
-            unoccluded = light.irradiance(self._normal) / torch.pi
+            unoccluded = light.irradiance_at(*self._place) / torch.pi
             arriving = (self.arriving if by_warp(scale) else self._by_kernels)(light, scale, unoccluded)
             fraction = (arriving.mean(1) / unoccluded.mean(1).clamp_min(1e-30)).clamp(0, 1)
             kept = self._lit[light] = scale, torch.cat([arriving, fraction[:, None]], 1).contiguous()
@@ -144,5 +145,6 @@ class VertexTransfer:
 
 def _grid(light: PreparedLight) -> torch.Tensor:
     """Return a light, prefiltered and rotated, at the directions of the grid, (2 DIRECTION_ROWS^2, 3) contiguous."""
-    direction = texel_directions(DIRECTION_ROWS, 2 * DIRECTION_ROWS).view(-1, 3).to(light.specular)
-    return lookup(light.specular[SPECULAR_LEVEL], light.unturned(direction)).contiguous()
+    sides = (DIRECTION_ROWS, 2 * DIRECTION_ROWS)
+    v, u = torch.meshgrid(*((torch.arange(size, device=light.specular.device) + 0.5) / size for size in sides), indexing="ij")
+    return lookup_at(light.specular[SPECULAR_LEVEL], light.turned_u(u.flatten()), v.flatten()).contiguous()

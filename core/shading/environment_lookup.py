@@ -94,10 +94,14 @@ def lookup(maps: torch.Tensor, direction: torch.Tensor, level: torch.Tensor | No
     Returns:
         (P, C): bilinear, wrapped in u, clamped in v, trilinear with `level`. Differentiable with respect to all arguments.
     """
+    return lookup_at(maps, *direction_to_uv(direction), level)
+
+
+def lookup_at(maps: torch.Tensor, u: torch.Tensor, v: torch.Tensor, level: torch.Tensor | None = None) -> torch.Tensor:
+    """Interpolate like `lookup` at coordinates u and v, (P,) each in 0..1."""
     stack = maps if maps.ndim == 4 else maps[None]
     levels, _, width, _ = stack.shape
     planes = torch.cat([stack[:, :, -1:], stack, stack[:, :, :1]], 2).permute(3, 0, 1, 2)
-    u, v = direction_to_uv(direction)
     coordinates = [(u * width + 1) / (width + 2), v]  # one texel of wrap-around on either side
     if level is None:
         planes, shape = planes[:, 0], (1, 1, -1, 2)  # torch is faster in two dimensions

@@ -98,11 +98,12 @@ def light_range(
 
 
 @kernel
-def settle_range(begin, end, sample, weights, hidden, radiance, sums):
-    """Add the light of traced samples begin..end to `sums` (P, 2, 12); hidden: their occluded fraction in 0..1; radiance: (T T, 3)."""
+def settle_range(begin, end, sample, weights, hidden, table, sums):
+    """Add the light of traced samples begin..end to `sums` (P, 2, 12); hidden: their occluded fraction in 0..1; table: see `light_range`."""
+    size = table.shape[1]
     for i in range(begin, end):
-        entry, free = sample[i, 2], 1 - float(hidden[i])
-        r, g, b = free * float(radiance[entry, 0]), free * float(radiance[entry, 1]), free * float(radiance[entry, 2])
+        row, column, free = sample[i, 2] // size, sample[i, 2] % size, 1 - float(hidden[i])
+        r, g, b = free * float(table[row, column, 4]), free * float(table[row, column, 5]), free * float(table[row, column, 6])
         _add(sums, sample[i, 0], sample[i, 1], float(weights[i, 0]), float(weights[i, 1]), float(weights[i, 2]), r, g, b)
 
 
