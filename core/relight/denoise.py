@@ -9,11 +9,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import torch
 
-from ..kernels.cpu.bilateral import bilateral_range, mean_range, weigh_range
+from ..kernels.cpu.bilateral import correct_range, mean_range, smooth_range, weigh_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
@@ -127,18 +128,45 @@ class Guides:
         """
         if self._index is not None:
             return self._on_device(self._index, values, bilateral)
-        planes, spatial = self._scattered(values.T), bilateral.spatial()
-        out, size = np.empty_like(planes), (self._grid.stride, self._grid.plane)
-        parts = even_ranges(len(self._groups), RANGES_PER_THREAD * thread_count())
+        planes = self._scattered(values.T)
+        out = np.empty_like(planes)
+        run_ranges(mean_range, self._ranges, *self._arguments(bilateral), planes, out)
+        return self._gathered(out)
+
+    def corrected(self, values: torch.Tensor, variance: torch.Tensor, chance: float, bilateral: Filter) -> torch.Tensor:
+        """Return what `corrected` returns, (P, 3), by the kernels of the CPU.
+
+        Args:
+            values: (P, 3) noisy values.
+            variance: (P, 1) of them.
+            chance: see `corrected`.
+            bilateral: widths of the filter.
+        """
+        if self._index is not None:
+            return corrected_reference(values, variance, chance, self, bilateral)
+        planes, arguments = self._scattered(torch.cat([values, variance], 1).T), self._arguments(bilateral)
+        smooth, out, change = np.empty_like(planes), np.empty_like(planes[: 3 * self._grid.plane]), np.zeros(self._grid.plane, np.float32)
+        run_ranges(smooth_range, self._ranges, *arguments, planes, smooth, change)
+        run_ranges(correct_range, self._ranges, *arguments, planes, smooth, change, np.float32(chance), out)
+        return self._gathered(out)
+
+    @property
+    def _ranges(self) -> list[tuple[int, int]]:
+        """Return the ranges of groups that threads work on."""
+        return even_ranges(len(self._groups), RANGES_PER_THREAD * thread_count())
+
+    def _arguments(self, bilateral: Filter) -> tuple[Any, ...]:
+        """Return the arguments that all kernels begin with; the weights are computed where they are to be kept and are not yet."""
+        spatial, size = bilateral.spatial(), (self._grid.stride, self._grid.plane)
         guided = (self._planes, spatial, np.float32(bilateral.epsilon * self._radius), bilateral.doublings)
-        if not self._keep_weights:
-            run_ranges(bilateral_range, parts, self._groups, *guided, planes, *size, out)
-        else:
-            if bilateral not in self._weights:
-                self._weights[bilateral] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
-                run_ranges(weigh_range, parts, self._groups, *guided, *size, self._weights[bilateral])
-            run_ranges(mean_range, parts, self._groups, self._weights[bilateral], planes, len(spatial) // 2, *size, out)
-        return torch.from_numpy(out.reshape(-1, self._grid.plane)[:, self._places].T.copy())
+        if self._keep_weights and bilateral not in self._weights:
+            self._weights[bilateral] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
+            run_ranges(weigh_range, self._ranges, self._groups, *guided, *size, self._weights[bilateral])
+        return self._groups, self._weights.get(bilateral, np.empty(0, np.float32)), *guided, *size
+
+    def _gathered(self, planes: np.ndarray) -> torch.Tensor:
+        """Return the values (P, C) of flattened planes at the surface's pixels."""
+        return torch.from_numpy(planes.reshape(-1, self._grid.plane)[:, self._places].T.copy())
 
     def _on_device(self, index: torch.Tensor, values: torch.Tensor, bilateral: Filter) -> torch.Tensor:
         """Filter values (P, C) at flat pixel indices (P,) by the Warp kernel."""
@@ -201,7 +229,20 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: 
     Returns:
         (P, 3) denoised values.
     """
-    smooth = guides.filtered(torch.cat([values, split.square().mean(1, keepdim=True)], 1), bilateral)
+    return guides.corrected(values, split.square().mean(1, keepdim=True), chance, bilateral)
+
+
+def corrected_reference(values: torch.Tensor, variance: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:
+    """Return what `corrected` returns by PyTorch operations: on a GPU, and the reference of the CPU's kernels.
+
+    Args:
+        values: (P, 3) noisy values.
+        variance: (P, 1) of them.
+        chance: see `corrected`.
+        guides: guide layers of the surface.
+        bilateral: widths of the filter.
+    """
+    smooth = guides.filtered(torch.cat([values, variance], 1), bilateral)
     smooth, variance = smooth[:, :3], smooth[:, 3:]
     variance = variance + chance * smooth.square().mean(1, keepdim=True)
     change = guides.filtered((values - smooth).square().mean(1, keepdim=True), bilateral)

@@ -55,16 +55,17 @@ def add_light_samples(
     ranges = even_ranges(len(shift), 4 * thread_count())
     counted = np.zeros((len(ranges), 2), np.int64)
     out = (points.brdf == "irgs", sums.numpy(), sample, direction, weights, counted)
-    run_ranges(light_range, ranges, *arrays, n_c, n_g, table, light.turn, *unoccluded, *out, numbered=True)
-    above, traced = int(counted[:, 0].sum()), counted[:, 1]
-    parts = [slice(begin * n_e, begin * n_e + count) for (begin, _), count in zip(ranges, traced, strict=True)]
-    sample, direction, weights = (np.concatenate([array[part] for part in parts] or [array]) for array in (sample, direction, weights))
-    hidden = query.hidden(points.origin[sample[:, 0].astype(np.int64)], torch.from_numpy(direction))
-    ends = np.cumsum(traced)
-    pending = [(int(end - count), int(end)) for end, count in zip(ends, traced, strict=True) if count]
-    if pending:
-        run_ranges(settle_range, pending, sample, weights, hidden.numpy(), table, sums.numpy())
-    return above, len(sample)
+
+    def add(number: int, begin: int, end: int) -> None:
+        light_range(number, begin, end, *arrays, n_c, n_g, table, light.turn, *unoccluded, *out)
+        first, last = begin * n_e, begin * n_e + int(counted[number, 1])
+        if last > first:
+            hidden = query.hidden(points.origin[sample[first:last, 0].astype(np.int64)], torch.from_numpy(direction[first:last]))
+            settle_range(first, last, sample, weights, hidden.numpy(), table, sums.numpy())
+
+    run_ranges(add, ranges, numbered=True)
+    above, traced = counted.sum(0).tolist()
+    return above, traced
 
 
 def _on_device(

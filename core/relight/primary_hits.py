@@ -71,8 +71,8 @@ class PrimaryHits:
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """Return straight colours of the points, (P, 3), as a linear premultiplied image (H, W, 4)."""
-        rgba = colour.new_zeros(self.coverage.numel(), 4)
-        rgba[self.index, :3] = colour * self.alpha[:, None]
+        lit = torch.cat([colour, torch.ones_like(colour[:, :1])], 1) * self.alpha[:, None]
+        rgba = colour.new_zeros(self.coverage.numel(), 4).index_copy_(0, self.index, lit)
         rgba[:, 3] = self.coverage.flatten()
         return rgba.view(*self.coverage.shape, 4)
 

@@ -70,7 +70,7 @@ def _mean(at, values, weights, begin, reach, stride, plane, acc, out):
 
 @kernel
 def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride, plane, weights):
-    """Compute the weights (groups, T T, 8), flat, of groups begin..end for `mean_range`.
+    """Compute the weights (groups, T T, 8), flat, of groups begin..end, to be kept for the kernels below.
 
     spatial: (T, T), T odd. The exponent of n.n' is 2^doublings.
     """
@@ -79,20 +79,58 @@ def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride,
         _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, weights, i * size)
 
 
-@kernel
-def mean_range(begin, end, groups, weights, values, reach, stride, plane, out):
-    """Filter `values` (C planes) into `out` (C planes) for groups begin..end, by weights from `weigh_range`."""
-    size = (2 * reach + 1) * (2 * reach + 1) * 8
-    acc = np.empty(len(values) // plane * 8, np.float32)
-    for i in range(begin, end):
-        _mean(groups[i], values, weights, i * size, reach, stride, plane, acc, out)
+@helper
+def _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, out):
+    """Write the weighted mean of the neighbours of group i to `out`, by the weights `kept`, or where that is empty by computed ones."""
+    weights, begin = kept, i * spatial.size * 8
+    if len(kept) == 0:
+        _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, own, 0)
+        weights, begin = own, 0
+    _mean(groups[i], values, weights, begin, spatial.shape[0] // 2, stride, plane, acc, out)
 
 
 @kernel
-def bilateral_range(begin, end, groups, guides, spatial, epsilon, doublings, values, stride, plane, out):
-    """Compute weights and filter `values` (C planes) into `out` (C planes) for groups begin..end, without storing the weights."""
-    weights = np.empty(spatial.size * 8, np.float32)
+def mean_range(begin, end, groups, kept, guides, spatial, epsilon, doublings, stride, plane, values, out):
+    """Filter `values` (C planes) into `out` (C planes) for groups begin..end.
+
+    kept: weights from `weigh_range`; empty: they are computed and not stored.
+    """
+    own = np.empty(spatial.size * 8, np.float32)
     acc = np.empty(len(values) // plane * 8, np.float32)
     for i in range(begin, end):
-        _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, weights, 0)
-        _mean(groups[i], values, weights, 0, spatial.shape[0] // 2, stride, plane, acc, out)
+        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, out)
+
+
+@kernel
+def smooth_range(begin, end, groups, kept, guides, spatial, epsilon, doublings, stride, plane, values, smooth, change):
+    """Filter like `mean_range`, and write to `change` (1 plane) the mean square by which this changes the first three planes."""
+    own = np.empty(spatial.size * 8, np.float32)
+    acc = np.empty(len(values) // plane * 8, np.float32)
+    for i in range(begin, end):
+        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, smooth)
+        at, total = groups[i], splat(0.0)
+        for c in range(3):
+            difference = load(values, c * plane + at) - load(smooth, c * plane + at)
+            total = total + difference * difference
+        store(change, at, total * (1.0 / 3.0))
+
+
+@kernel
+def correct_range(begin, end, groups, kept, guides, spatial, epsilon, doublings, stride, plane, values, smooth, change, chance, out):
+    """Blend the `values` (3 planes or more) back into what `smooth_range` made of them, for groups begin..end of `out` (3 planes).
+
+    smooth: four planes; the last has the variance of the values' mean. chance: square of their relative error that is assumed as well.
+    The reference in PyTorch operations is `corrected_reference` in core/relight/denoise.py.
+    """
+    own = np.empty(spatial.size * 8, np.float32)
+    acc, found = np.empty(8, np.float32), np.empty(plane, np.float32)
+    for i in range(begin, end):
+        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, change, acc, found)
+        at = groups[i]
+        s0, s1, s2 = load(smooth, at), load(smooth, plane + at), load(smooth, 2 * plane + at)
+        variance = load(smooth, 3 * plane + at) + (s0 * s0 + s1 * s1 + s2 * s2) * (chance / 3.0)
+        keep = splat(1.0) - variance / maximum(load(found, at), splat(1e-36))
+        keep = minimum(maximum(keep, splat(0.0)), splat(1.0))
+        store(out, at, s0 + keep * (load(values, at) - s0))
+        store(out, plane + at, s1 + keep * (load(values, plane + at) - s1))
+        store(out, 2 * plane + at, s2 + keep * (load(values, 2 * plane + at) - s2))

@@ -99,10 +99,13 @@ def light_range(
 
 @kernel
 def settle_range(begin, end, sample, weights, hidden, table, sums):
-    """Add the light of traced samples begin..end to `sums` (P, 2, 12); hidden: their occluded fraction in 0..1; table: see `light_range`."""
+    """Add the light of traced samples begin..end, of which the fraction `hidden` in 0..1 is occluded, to `sums` (P, 2, 12).
+
+    sample, weights: rows from `begin` on belong to these samples. hidden: (end - begin,). table: see `light_range`.
+    """
     size = table.shape[1]
     for i in range(begin, end):
-        row, column, free = sample[i, 2] // size, sample[i, 2] % size, 1 - float(hidden[i])
+        row, column, free = sample[i, 2] // size, sample[i, 2] % size, 1 - float(hidden[i - begin])
         r, g, b = free * float(table[row, column, 4]), free * float(table[row, column, 5]), free * float(table[row, column, 6])
         _add(sums, sample[i, 0], sample[i, 1], float(weights[i, 0]), float(weights[i, 1]), float(weights[i, 2]), r, g, b)
 

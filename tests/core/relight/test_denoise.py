@@ -6,7 +6,7 @@ import dataclasses
 import numpy as np
 import pytest
 import torch
-from irgspp.core.relight.denoise import IMAGE, Filter, Guides, denoised
+from irgspp.core.relight.denoise import IMAGE, SPECULAR, Filter, Guides, corrected_reference, denoised
 from irgspp.core.relight.estimate import Estimate
 from irgspp.core.relight.primary_hits import PrimaryHits
 from irgspp.core.scene.camera import Camera
@@ -121,3 +121,14 @@ def test_few_samples_that_agree_are_not_believed():
 def test_empty_image():
     surface = plane(covered=torch.zeros(43, 61))
     assert denoised(estimate(torch.zeros(0, 3)), surface, Guides(surface, 1.0)).shape == (0, 3)
+
+
+@pytest.mark.parametrize("kept", [False, True])
+def test_corrected_equals_its_reference(kept):
+    surface = plane(0.5, torch.rand(43, 61, generator=torch.Generator().manual_seed(4)) > 0.2)
+    values, variance = noise(surface), 0.05 * noise(surface, 1).square()
+    guides = Guides(surface, 1.0, kept)
+    for chance in (0.0, 0.1):
+        expected = corrected_reference(values, variance, chance, guides, SPECULAR)
+        assert torch.allclose(guides.corrected(values, variance, chance, SPECULAR), expected, atol=1e-5)
+    assert (expected - values).abs().max() > 0.1
