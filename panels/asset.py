@@ -5,14 +5,17 @@ from __future__ import annotations
 
 import bpy
 
-from .result import FinishedRunPanel, object_of_run, shown_run
-from .sidebar import button, say
+from .shown_run import object_of_run, shown_run
+from .sidebar import SidebarPanel, button, say
+from .steps import FinishedRunPanel
 
 
-class IRGSPP_PT_asset(FinishedRunPanel, bpy.types.Panel):
+class IRGSPP_PT_asset(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
     """Panel of the object as an asset of Blender's Asset Browser."""
 
     bl_label = "Asset"
+    bl_parent_id = "IRGSPP_PT_export"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw what the asset is called and who made it, or how to make one."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of the dataset's panel for photographs without cameras: the button that finds them, and what was found and left out."""
+"""Parts of step 2 for photographs without cameras: the button that finds them, and what was found and left out."""
 
 from __future__ import annotations
 
@@ -11,36 +11,27 @@ from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.capture_file import CaptureSummary
 from ..irgspp_addon.importer.measure import PARTS, find_ends
 from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere
-from ..irgspp_addon.importer.photographs import BarePhotographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import beside
-from .capture_state import bare_photographs, capture_of
+from .capture_state import capture_of
 from .job_card import draw_last
 from .run_state import resolved
 from .sidebar import button, say, settings_column
 
-ENOUGH = 20  # photographs below which the panel asks for more
 SHOWN = 4  # photographs left out that the panel names
 
 
-def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, capture: CaptureSummary | None) -> bool:
-    """Draw the button that finds cameras, and its job; return False where the dataset has its cameras.
+def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, capture: CaptureSummary | None) -> None:
+    """Draw the button that finds cameras, and its job.
 
     Args:
         layout: to draw into.
         context: of the panel.
-        dataset: that the user chose.
+        dataset: photographs without cameras, or a capture that is not finished.
         capture: summary of its capture.json; None without one.
     """
-    bare = None if capture else bare_photographs(dataset)
-    if bare is not None:
-        say(layout, context, f"Photographs without cameras: {count_in_words(bare)}", icon="INFO")
-        if bare.complete and not bare.videos and bare.photographs < ENOUGH:
-            say(layout, context, f"That is few: {ENOUGH} or more from all around give a good object.", icon="ERROR")
-    elif capture is not None and capture.status == "running":
+    if capture is not None:
         say(layout, context, "The cameras of these photographs are not all found yet; Find Cameras goes on.", icon="INFO")
-    else:
-        return False
     settings = settings_column(layout)
     settings.prop(context.scene.irgspp, "capture_marker")
     settings.prop(context.scene.irgspp, "capture_turntable")
@@ -50,13 +41,6 @@ def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, da
     button(column, "irgspp.capture", "Find Cameras", "CAMERA_DATA", directory=str(dataset))
     place = resolved(dataset) or dataset
     draw_last(layout, context, "capture", place if capture else beside(place, "_capture"))
-    return True
-
-
-def count_in_words(bare: BarePhotographs) -> str:
-    """Return the number of photographs and videos as "23 files" or "1 video, 3 files"."""
-    parts = [f"{n} {word}{'' if n == 1 else 's'}" for n, word in ((bare.videos, "video"), (bare.photographs, "file")) if n]
-    return ", ".join(parts) + ("" if bare.complete else " and more")
 
 
 def draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, capture: CaptureSummary | None) -> None:

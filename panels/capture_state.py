@@ -27,6 +27,16 @@ def bare_photographs(folder: Path | None) -> BarePhotographs | None:
     return _look(find_bare_photographs, folder)
 
 
+def cameras_missing(folder: Path, capture: CaptureSummary | None) -> bool:
+    """Return True for photographs whose cameras must be found: bare ones, or a capture that is not finished.
+
+    Args:
+        folder: of the photographs, or a video.
+        capture: summary of its capture.json; None without one.
+    """
+    return capture.status == "running" if capture is not None else bare_photographs(folder) is not None
+
+
 def problem_of(folder: Path | None) -> str:
     """Return what the chosen folder lacks, in a sentence; "" where nothing is known to be lacking, or none is chosen."""
     return _look(find_problem, folder) or ""

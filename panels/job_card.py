@@ -13,7 +13,7 @@ from ..irgspp_addon.jobs.job import Job
 from .capture_state import capture_of
 from .images import image
 from .phases import phase_in_words, total_fraction
-from .run_state import run_state
+from .run_state import resolved, run_state
 from .sidebar import button, say, seconds_in_words
 
 BEGAN = time.time()  # start of this Blender session
@@ -30,6 +30,17 @@ ENOUGH = 0.05  # fraction of a job that must have been observed before its whole
 RECONSTRUCTIONS = ("reconstruct", "demo")  # kinds of jobs that make a run
 
 _starts: dict[tuple, tuple[float, float]] = {}  # by job and start: time and fraction of the job when it was seen first
+
+
+def current_job(run: Path | None) -> Job | None:
+    """Return the unfinished reconstruction, else the last one of this run folder; without a folder, the last demo of this session."""
+    reconstructions = [job for job in jobs.all_jobs() if job.kind in RECONSTRUCTIONS]
+    unfinished = [job for job in reconstructions if not job.finished]
+    if run is None:
+        last = [job for job in reconstructions if job.kind == "demo" and job.made > BEGAN]
+    else:
+        last = [job for job in reconstructions if resolved(job.folder) == resolved(run)]
+    return next(iter([*reversed(unfinished), *last]), None)
 
 
 def draw_last(layout: bpy.types.UILayout, context: bpy.types.Context, kind: str, run: Path | None) -> None:

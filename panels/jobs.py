@@ -64,7 +64,7 @@ class IRGSPP_PT_jobs(SidebarPanel, bpy.types.Panel):
     """Panel of running, waiting and finished jobs."""
 
     bl_label = "Jobs"
-    bl_order = 6
+    bl_order = 7
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
 
     def draw_header_preset(self, context: bpy.types.Context) -> None:

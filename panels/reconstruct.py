@@ -3,28 +3,26 @@
 
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
 
-from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere, is_changed
-from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from .capture_state import bare_photographs, capture_of, problem_of
-from .dataset import parsed
-from .job_card import BEGAN, RECONSTRUCTIONS, can_resume, draw_job
+from .capture_state import bare_photographs, capture_of
+from .job_card import can_resume, current_job, draw_job
+from .photographs import parsed
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
+from .steps import RECONSTRUCT, StepPanel, obstacle
 
 STOPPED = ("running", "failed", "cancelled")  # states of a run folder that can be resumed; "running" where its process is gone
 
 
-class IRGSPP_PT_reconstruct(SidebarPanel, bpy.types.Panel):
+class IRGSPP_PT_reconstruct(StepPanel, SidebarPanel, bpy.types.Panel):
     """Panel that reconstructs an object with materials from photographs."""
 
-    bl_label = "Reconstruct"
-    bl_order = 3
+    bl_label = "3 Reconstruct"
+    bl_order = 4
+    step = RECONSTRUCT
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options, the buttons, and the job."""
@@ -66,9 +64,9 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
     """
     settings = context.scene.irgspp
     status = run_state(settings.run_path()).status if settings.dataset else ""
-    stopped, problem = status in STOPPED, problem_of(settings.dataset_path())
+    stopped, reason = status in STOPPED, obstacle(context, RECONSTRUCT)
     column = layout.column()
-    column.enabled = bool(settings.dataset) and engine.status().usable and not problem
+    column.enabled = not reason
     row = column.row()
     row.scale_y = 1.5
     if stopped and job is not None and can_resume(job):
@@ -79,15 +77,13 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
         button(row, "irgspp.reconstruct", "Reconstruct Again" if status else "Reconstruct", "PLAY", overwrite=bool(status))
     if stopped:  # small, since it replaces what was done
         button(column, "irgspp.reconstruct", "Start Over", "FILE_NEW", overwrite=True)
-    if not settings.dataset:
-        say(layout, context, "Choose photographs above first.", icon="INFO")
-    elif not engine.status().usable:
-        say(layout, context, "Set up the engine above first.", icon="INFO")
-    elif not problem:  # which the panel above tells
-        if status:
-            say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
-        draw_sphere(layout, context, stopped)
-        draw_estimate(layout, context)
+    if reason:
+        say(layout, context, reason, icon="INFO")
+        return
+    if status:
+        say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
+    draw_sphere(layout, context, stopped)
+    draw_estimate(layout, context)
 
 
 def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, stopped: bool) -> None:
@@ -108,8 +104,6 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, stopped:
             say(layout, context, "Resume goes on with the object that the run began with.", icon="INFO")
     elif sphere is not None and is_changed(sphere):
         say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
-    elif sphere is not None and not sphere.hide_viewport:
-        say(layout, context, f'Move or scale the sphere "{sphere.name}" if it does not surround the object.', icon="SPHERE")
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -123,17 +117,6 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     job = parsed(settings.inspected).get("jobs", {}).get(settings.preset)
     if job and settings.device != "cuda":
         say(layout, context, f"On the CPU: {job['text']}.", icon="TIME")
-
-
-def current_job(run: Path | None) -> Job | None:
-    """Return the unfinished reconstruction, else the last one of this run folder; without a folder, the last demo of this session."""
-    reconstructions = [job for job in jobs.all_jobs() if job.kind in RECONSTRUCTIONS]
-    unfinished = [job for job in reconstructions if not job.finished]
-    if run is None:
-        last = [job for job in reconstructions if job.kind == "demo" and job.made > BEGAN]
-    else:
-        last = [job for job in reconstructions if resolved(job.folder) == resolved(run)]
-    return next(iter([*reversed(unfinished), *last]), None)
 
 
 CLASSES = (IRGSPP_PT_reconstruct, IRGSPP_PT_reconstruct_more)

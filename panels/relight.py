@@ -15,9 +15,9 @@ from ..irgspp_addon.relight.render_engine import ENGINE
 from ..irgspp_addon.world.hdri_library import unreadable_folder
 from ..irgspp_addon.world.light_controls import UP, light_controls
 from .job_card import draw_last
-from .result import object_of_run, shown_run
-from .run_state import run_state
+from .shown_run import object_of_run, shown_run
 from .sidebar import SidebarPanel, button, say, settings_column
+from .steps import FinishedRunPanel
 
 THUMBNAIL = 6.0  # height of the chosen HDRI's thumbnail, rows of buttons
 OPTIONS = (
@@ -32,18 +32,15 @@ OPTIONS = (
 )
 
 
-class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
+class IRGSPP_PT_relight(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
     """Panel that relights the object."""
 
     bl_label = "Relight"
-    bl_order = 5
+    bl_parent_id = "IRGSPP_PT_result"
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the World, the options, the preview and the render engine."""
         layout, settings = self.layout, context.scene.irgspp
-        if not can_relight(context):
-            say(layout, context, "Needs a finished reconstruction.", icon="INFO")
-            return
         draw_light(layout, context)
         column = settings_column(layout)
         for name in OPTIONS:
@@ -57,17 +54,12 @@ class IRGSPP_PT_relight(SidebarPanel, bpy.types.Panel):
             say(layout, context, f"{missing}. IRGS++ draws one reconstruction under World and lamps.", icon="INFO")
 
 
-class IRGSPP_PT_relight_files(SidebarPanel, bpy.types.Panel):
+class IRGSPP_PT_relight_files(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
     """Panel that writes relit images and environment maps as files."""
 
     bl_label = "Files"
     bl_parent_id = "IRGSPP_PT_relight"
     bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return True where there is a finished run."""
-        return can_relight(context)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the buttons and the job."""
@@ -110,11 +102,6 @@ def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
         column = layout.column()
         column.alert = True
         say(column, context, last.error, icon="ERROR")
-
-
-def can_relight(context: bpy.types.Context) -> bool:
-    """Return True where there is a finished run."""
-    return run_state(shown_run(context)).status == "done"
 
 
 def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

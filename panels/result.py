@@ -1,32 +1,30 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panels of the result: the object, its material, baking again, and export."""
+"""Panels of step 4: the object, its material and cameras, and baking again."""
 
 from __future__ import annotations
 
-from dataclasses import asdict
 from pathlib import Path
 
 import bpy
 
-from ..core.assets.options import AssetOptions
 from ..irgspp_addon.importer.arrangement import camera_label, cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.materials import available_sources
-from ..irgspp_addon.importer.ownership import KEY, folder_of
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
-from ..irgspp_addon.importer.run_root import RUN, find_roots, run_of
-from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.shared_properties import TEXTURE_SIZES
 from .job_card import draw_last
-from .run_state import RunState, resolved, run_state
+from .run_state import RunState, run_state
+from .shown_run import object_of_run, shown_run
 from .sidebar import SidebarPanel, button, say, settings_column
+from .steps import LOOK, FinishedRunPanel, StepPanel, obstacle
 
 
-class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
-    """Panel of the reconstructed object."""
+class IRGSPP_PT_result(StepPanel, SidebarPanel, bpy.types.Panel):
+    """Panel of the reconstructed object, with relighting below it."""
 
-    bl_label = "Result"
-    bl_order = 4
+    bl_label = "4 Look and Relight"
+    bl_order = 5
+    step = LOOK
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the object and its quality, or how to get one."""
@@ -37,7 +35,7 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
             button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
             return
         if run is None or state.status == "":
-            say(layout, context, "Reconstruct photographs, or open a finished run.", icon="INFO")
+            say(layout, context, obstacle(context, LOOK), icon="INFO")
             button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
             return
         if state.status != "done":
@@ -51,22 +49,12 @@ class IRGSPP_PT_result(SidebarPanel, bpy.types.Panel):
         draw_files(layout, run)
 
 
-class FinishedRunPanel(SidebarPanel):
-    """Base of the panels below the result, which need a finished run."""
-
-    bl_parent_id = "IRGSPP_PT_result"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return True where there is a finished run."""
-        return run_state(shown_run(context)).status == "done"
-
-
-class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
+class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
     """Panel that bakes textures again, at another size or onto an edited mesh."""
 
     bl_label = "Bake Again"
+    bl_parent_id = "IRGSPP_PT_result"
+    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options, the button and the job."""
@@ -91,42 +79,12 @@ class IRGSPP_PT_bake(FinishedRunPanel, bpy.types.Panel):
         draw_last(self.layout, context, "bake", shown_run(context))
 
 
-class IRGSPP_PT_export(FinishedRunPanel, bpy.types.Panel):
-    """Panel that exports the result for other programs."""
-
-    bl_label = "Export"
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the choices, a button for each kind of file, and the job."""
-        run, settings = shown_run(context), context.scene.irgspp
-        column = settings_column(self.layout.column())
-        for name in ("export_lods", "export_collision", "export_textures", "export_normal_map"):
-            column.prop(settings, name)
-        chosen = AssetOptions(settings.export_lods, settings.export_collision, settings.export_textures, settings.export_normal_map)
-        column = self.layout.column(align=True)
-        for text, icon, suffix in FILES:
-            file = str(run / f"{run.name}{suffix}") if run else ""
-            button(column, "irgspp.export", text, icon, run=str(run), filepath=file, **asdict(chosen.fitting(suffix)))
-        draw_last(self.layout, context, "export", run)
-        draw_exported(self.layout, run)
-
-
 UNFINISHED = {
     "running": "Not finished yet.",
     "failed": "The reconstruction failed; see above.",
     "cancelled": "The reconstruction was stopped; it can be resumed.",
     "broken": "The run folder can't be read.",
 }
-FILES = (
-    ("glTF for Most Programs (.glb)", "FILE_3D", ".glb"),
-    ("USD (.usdc)", "FILE_3D", ".usdc"),
-    ("USD in One File (.usdz)", "FILE_3D", ".usdz"),
-    ("FBX (.fbx)", "FILE_3D", ".fbx"),
-    ("OBJ (.obj)", "FILE_3D", ".obj"),
-    ("Blender File (.blend)", "FILE_BLEND", ".blend"),
-    ("Gaussian Splats (.ply)", "POINTCLOUD_DATA", ".ply"),
-    ("Recovered Light (.exr)", "WORLD", ".exr"),
-)
 
 
 def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Path, thing: bpy.types.Object | None) -> None:
@@ -237,19 +195,6 @@ def draw_files(layout: bpy.types.UILayout, run: Path) -> None:
         button(row, "irgspp.show_image", "Contact Sheet", "IMAGE_DATA", filepath=str(sheet))
 
 
-def draw_exported(layout: bpy.types.UILayout, run: Path | None) -> None:
-    """Draw the button that shows the file which was exported last.
-
-    Args:
-        layout: to draw into.
-        run: run folder.
-    """
-    done = (job for job in jobs.all_jobs() if job.kind == "export" and job.state == "done" and job.data.get("run") == str(run))
-    file = next((Path(job.data["file"]) for job in done if "file" in job.data), None)
-    if file is not None and file.is_file():
-        button(layout, "wm.path_open", f"Show {file.name}", "FILE_FOLDER", filepath=str(file.parent))
-
-
 def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: RunState) -> None:
     """Draw the PSNR of the views, and the parts that were skipped.
 
@@ -267,24 +212,4 @@ def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: 
         say(layout, context, line, icon="INFO")
 
 
-def shown_run(context: bpy.types.Context) -> Path | None:
-    """Return the run of the active object, else that of the scene's settings, else the only one in the scene; None without any."""
-    run = run_of(context.object) or resolved(context.scene.irgspp.run_path())
-    if run is not None:
-        return run
-    roots = find_roots(context.scene, RUN)
-    return folder_of(roots[0]) if len(roots) == 1 else None
-
-
-def object_of_run(scene: bpy.types.Scene, run: Path | None) -> bpy.types.Object | None:
-    """Return the mesh object of a run; None where it is not in the scene.
-
-    Args:
-        scene: to search.
-        run: run folder; None without one.
-    """
-    key = f"{run}#mesh"
-    return next((thing for thing in scene.objects if thing.type == "MESH" and thing.get(KEY) == key), None)
-
-
-CLASSES = (IRGSPP_PT_result, IRGSPP_PT_bake, IRGSPP_PT_export)
+CLASSES = (IRGSPP_PT_result, IRGSPP_PT_bake)

@@ -54,7 +54,7 @@ def look_at(photographs: Path) -> Iterator[float]:
     yield from driver.wait(lambda: settings.inspected, 60)
     yield 2.0
     driver.sidebar_shot("05_inspected")
-    yield from driver.click("irgspp.import_dataset", across=0.7)
+    yield from browsing.press_button("irgspp.import_dataset")
     yield from driver.wait(lambda: any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects), 60)
     yield from frame_all()
     driver.shot("06_cameras")
@@ -65,7 +65,7 @@ def reconstruct(run: Path) -> Iterator[float]:
     settings = bpy.context.scene.irgspp
     settings.preset, settings.overrides = "draft", SETTINGS
     assert settings.run_path() == run
-    yield from driver.click("irgspp.reconstruct")
+    yield from browsing.press_button("irgspp.reconstruct")
     job = yield from browsing.started_job()
     yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
     yield 1.0
@@ -134,8 +134,7 @@ def relight(hdri: Path) -> Iterator[float]:
     editor = browsing.open_image_editor()
     yield 1.0
     yield from browsing.frame_selected()
-    yield from browsing.scrolled("scroll_down")
-    yield from driver.click("irgspp.relight_preview")
+    yield from browsing.press_button("irgspp.relight_preview")
     preview = driver.extension_module("irgspp_addon.relight.preview")
     follow = driver.extension_module("irgspp_addon.relight.live_image")
     follower = follow.follower_of(preview.CHANNEL)
@@ -155,7 +154,7 @@ def relight(hdri: Path) -> Iterator[float]:
     yield from driver.wait(lambda: not follower.done, 10, step=0.02)
     yield from driver.wait(lambda: follower.done, 60)
     assert max(bpy.data.images[preview.IMAGE].size) == 128
-    yield from driver.click("irgspp.relight_stop")
+    yield from browsing.press_button("irgspp.relight_stop")
     assert not preview.preview_running()
 
 

@@ -20,7 +20,7 @@ def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
-    browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_export", "IRGSPP_PT_relight_files")
+    browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_relight_files")
     driver.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.engine_ready()
@@ -91,7 +91,6 @@ def export(run: Path) -> Iterator[float]:
 def relight_by_sky() -> Iterator[float]:
     """Relight by a Sky Texture, which another Blender renders; the preview opens in a window of its own."""
     bpy.context.scene.world, sky = sky_world()
-    yield from browsing.scrolled("scroll_down")
     yield from browsing.press_button("irgspp.relight_preview")
     follower = driver.extension_module("irgspp_addon.relight.live_image").follower_of(
         driver.extension_module("irgspp_addon.relight.preview").CHANNEL
@@ -108,7 +107,6 @@ def relight_by_sky() -> Iterator[float]:
     yield 1.0
     driver.shot("46_sky_turned")
     yield from browsing.close_other_windows()
-    yield from browsing.scrolled("scroll_down")
     yield from browsing.press_button("irgspp.relight_stop")
 
 

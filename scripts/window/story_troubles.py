@@ -37,31 +37,31 @@ def story() -> Iterator[float]:
     yield from driver.wait(lambda: settings.inspected, 60)
     settings.overrides = "first.iterations=many"
     yield 1.0
-    yield from driver.click("irgspp.reconstruct")
+    yield from browsing.press_button("irgspp.reconstruct")
     yield from driver.wait(lambda: not jobs.unfinished(), 60)
     yield 1.5
     driver.shot("23_bad_setting")
 
     settings.overrides, settings.preset = "first.iterations=3000", "draft"
     yield 1.0
-    yield from driver.click("irgspp.reconstruct")
+    yield from browsing.press_button("irgspp.reconstruct")
     job = yield from browsing.started_job()
     yield from driver.wait(lambda: job.phase == "first stage" and job.step > 20, 300)
-    yield from driver.click("irgspp.job_cancel", across=0.7)
+    yield from browsing.press_button("irgspp.job_cancel", across=0.7)
     yield from driver.wait(lambda: job.finished, 60)
     yield 1.5
     driver.sidebar_shot("24_cancelled")
     assert job.state == "cancelled", job.state
 
-    yield from driver.click("irgspp.reconstruct", part="overwrite=True")
+    yield from browsing.press_button("irgspp.reconstruct", part="overwrite=True")
     yield 1.0
     driver.shot("25_replace")
     driver.key("Escape")
     yield 1.0
     assert not jobs.unfinished()
-    yield from driver.click("irgspp.job_resume", across=0.25)
+    yield from browsing.press_button("irgspp.job_resume", across=0.25)
     yield from driver.wait(lambda: job.state == "running" and job.step > 20, 120)
-    yield from driver.click("irgspp.job_finish", across=0.25)
+    yield from browsing.press_button("irgspp.job_finish", across=0.25)
     yield 1.0
     driver.sidebar_shot("26_finishing_early")
     yield from driver.wait(lambda: job.finished, 600)

@@ -4,7 +4,8 @@
 import bpy
 import irgspp
 import pytest
-from irgspp.panels import dataset, result
+from irgspp.panels import cameras as cameras_panel
+from irgspp.panels import result
 from recording_layout import RecordingLayout, draw
 
 
@@ -26,9 +27,9 @@ def test_scene_takes_over_camera_and_size(extension, run_folder):
         render = bpy.context.scene.render
         assert bpy.context.scene.camera == camera
         assert (render.resolution_x, render.resolution_y) == (camera.data["width"], camera.data["height"])
-    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.look_through")  # the mesh is active
+    assert not draw(cameras_panel.IRGSPP_PT_cameras).buttons("irgspp.look_through")  # the mesh is active
     bpy.context.view_layer.objects.active = cameras[0]
-    assert draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.look_through")[0].values == {"camera": cameras[0].name}
+    assert draw(cameras_panel.IRGSPP_PT_cameras).buttons("irgspp.look_through")[0].values == {"camera": cameras[0].name}
     assert bpy.ops.irgspp.look_through() == {"FINISHED"} and bpy.context.scene.camera == cameras[0]
 
 

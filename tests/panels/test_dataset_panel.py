@@ -17,7 +17,7 @@ from irgspp.irgspp_addon.importer.photographs import problem_of, sample_photogra
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.operators import import_dataset
-from irgspp.panels import capture_state, dataset, images, reconstruct
+from irgspp.panels import cameras, capture_state, images, photographs, reconstruct
 from recording_layout import draw
 
 DEMO = ROOT / "core" / "demo_data"
@@ -44,30 +44,32 @@ def live(panel, operator: str) -> list[bool]:
 def test_a_folder_without_photographs_says_so_and_can_not_be_reconstructed(settings, tmp_path, name, text):
     (tmp_path / "empty").mkdir()
     settings.dataset = str(tmp_path / name)
-    words = draw(dataset.IRGSPP_PT_dataset).words
+    words = draw(photographs.IRGSPP_PT_photographs).words
     assert text in words and ".json" not in words  # no list of file names
     assert live(reconstruct.IRGSPP_PT_reconstruct, "irgspp.reconstruct") == [False]
-    assert live(dataset.IRGSPP_PT_dataset, "irgspp.import_dataset") == [False]
+    assert live(photographs.IRGSPP_PT_photographs, "irgspp.inspect_dataset") == [False]
+    step = draw(cameras.IRGSPP_PT_cameras)
+    assert step.words == "First choose photographs." and not step.buttons("irgspp.import_dataset")
 
 
 def test_photographs_without_cameras_can_be_reconstructed_and_few_are_said_to_be_few(settings, tmp_path):
     for i in range(8):
         shutil.copy(DEMO / "train" / "r_000.png", tmp_path / f"{i}.png")
     settings.dataset = str(tmp_path)
-    words = draw(dataset.IRGSPP_PT_dataset).words
+    words = draw(photographs.IRGSPP_PT_photographs).words
     assert "without cameras: 8 files" in words and "That is few" in words
     assert live(reconstruct.IRGSPP_PT_reconstruct, "irgspp.reconstruct") == [True]
     for i in range(8, 30):
         shutil.copy(DEMO / "train" / "r_000.png", tmp_path / f"{i}.png")
     capture_state.forget()
-    assert "few" not in draw(dataset.IRGSPP_PT_dataset).words
+    assert "few" not in draw(photographs.IRGSPP_PT_photographs).words
 
 
 def test_thumbnails_of_the_photographs(settings, monkeypatch):
     shown = sample_photographs(DEMO)
     assert len(shown) == len(set(shown)) == 4 and all(path.suffix == ".png" for path in shown)
     settings.dataset = str(DEMO)
-    pictures = [entry for entry in draw(dataset.IRGSPP_PT_dataset).drawn if entry[0] == "picture"]
+    pictures = [entry for entry in draw(photographs.IRGSPP_PT_photographs).drawn if entry[0] == "picture"]
     assert len(pictures) == 4 and set(images._written) >= set(map(str, shown))
     assert sample_photographs(DEMO / "transforms_train.json") == () and problem_of(DEMO / "transforms_train.json") == ""
 
@@ -109,9 +111,9 @@ def test_the_error_of_an_inspection_goes_when_the_folder_changes(settings, tmp_p
     data = {"dataset": str(tmp_path.resolve())}
     job = Job("j1", "inspect", "Inspect", tmp_path, tmp_path, state="failed", error="frame 3 is broken", ended=time.time() + 1, data=data)
     jobs._jobs[job.id] = job
-    assert "frame 3 is broken" in draw(dataset.IRGSPP_PT_dataset).words
+    assert "frame 3 is broken" in draw(photographs.IRGSPP_PT_photographs).words
     os.utime(tmp_path, (time.time() + 5, time.time() + 5))
-    assert "frame 3 is broken" not in draw(dataset.IRGSPP_PT_dataset).words
+    assert "frame 3 is broken" not in draw(photographs.IRGSPP_PT_photographs).words
 
 
 def test_an_engine_is_checked_when_it_is_chosen(settings, monkeypatch):

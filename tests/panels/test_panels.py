@@ -9,7 +9,7 @@ import pytest
 from irgspp.irgspp_addon.engine import process as engine
 from irgspp.irgspp_addon.jobs import queue as jobs
 from irgspp.irgspp_addon.properties import show_jobs
-from irgspp.panels import dataset, images, reconstruct, registration, relight, result, run_state
+from irgspp.panels import asset, cameras, export, images, job_card, photographs, reconstruct, registration, relight, result, run_state
 from irgspp.panels import engine as engine_panel
 from irgspp.panels import jobs as jobs_panel
 from panel_states import add_job, finished_run
@@ -22,7 +22,7 @@ ROWS = [["dataset", "/p"], ["format", "transforms"], ["views", "40 training, 6 t
 def all_panels():
     return [
         cls
-        for module in (engine_panel, dataset, reconstruct, result, relight, jobs_panel)
+        for module in (engine_panel, photographs, cameras, reconstruct, result, relight, export, asset, jobs_panel)
         for cls in module.CLASSES
         if cls.bl_rna.base.name == "Panel"
     ]
@@ -31,7 +31,7 @@ def all_panels():
 def test_panels_are_in_the_order_of_work(settings):
     tops = [cls for cls in all_panels() if not hasattr(cls, "bl_parent_id")]
     assert [cls.bl_label for cls in sorted(tops, key=lambda cls: cls.bl_order)] == [
-        "Engine", "Dataset", "Reconstruct", "Result", "Relight", "Jobs",
+        "Engine", "1 Photographs", "2 Cameras and Object", "3 Reconstruct", "4 Look and Relight", "5 Export", "Jobs",
     ]  # fmt: skip
     assert {(cls.bl_space_type, cls.bl_region_type, cls.bl_category) for cls in all_panels()} == {("VIEW_3D", "UI", "IRGS++")}
     registered = {cls.__name__ for cls in bpy.types.Panel.__subclasses__()}
@@ -53,13 +53,13 @@ def test_everything_draws_in_an_empty_scene(settings):
 
 
 def test_a_first_visit_is_guided(settings):
-    drawn = draw(dataset.IRGSPP_PT_dataset)
+    drawn = draw(photographs.IRGSPP_PT_photographs)
     assert "Choose a folder of photographs" in drawn.words
     assert drawn.buttons("irgspp.demo")[0].live
     start = draw(reconstruct.IRGSPP_PT_reconstruct)
     assert not start.buttons("irgspp.reconstruct")[0].live
-    assert "Choose photographs above first" in start.words
-    assert "finished" in draw(relight.IRGSPP_PT_relight).words
+    assert "First choose photographs." in start.words
+    assert not relight.IRGSPP_PT_relight.poll(bpy.context)
 
 
 def test_without_an_engine_its_panel_is_first(settings, monkeypatch):
@@ -68,35 +68,37 @@ def test_without_an_engine_its_panel_is_first(settings, monkeypatch):
     drawn = draw(engine_panel.IRGSPP_PT_engine)
     assert "No engine: choose one" in drawn.words
     assert drawn.buttons("preferences.addon_show")[0].values["module"] == engine_panel.EXTENSION
-    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.demo")[0].live
-    settings.dataset = "/photographs"
-    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.import_dataset")[0].live
+    assert not draw(photographs.IRGSPP_PT_photographs).buttons("irgspp.demo")[0].live
+    settings.dataset = str(images.__file__)  # a file, of which nothing is known to be lacking
+    step = draw(cameras.IRGSPP_PT_cameras)
+    assert not step.buttons("irgspp.import_dataset")[0].live and "set up the engine" in step.words
     start = draw(reconstruct.IRGSPP_PT_reconstruct)
-    assert "Set up the engine" in start.words and not start.buttons("irgspp.reconstruct")[0].live
+    assert "set up the engine" in start.words and not start.buttons("irgspp.reconstruct")[0].live
     monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "Engine 1"))
     assert not engine_panel.IRGSPP_PT_engine.poll(bpy.context)
 
 
 def test_what_was_found_and_its_problems(settings, tmp_path):
+    (tmp_path / "transforms.json").write_text("{}")
     settings.dataset = str(tmp_path)
     settings.inspected = json.dumps({"rows": ROWS, "warnings": ["3 photographs are missing"]})
-    words = draw(dataset.IRGSPP_PT_dataset).words
+    words = draw(photographs.IRGSPP_PT_photographs).words
     assert "Views 40 training, 6 test" in words and "3 photographs are missing" in words and "/p" not in words
-    button = draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.import_dataset")[0]
+    button = draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.import_dataset")[0]
     assert button.values["photographs"] is True and button.values["up_axis"] == "AS_IS"
     settings.dataset = str(tmp_path / "other")
-    assert settings.inspected == "" and "40 training" not in draw(dataset.IRGSPP_PT_dataset).words
+    assert settings.inspected == "" and "40 training" not in draw(photographs.IRGSPP_PT_photographs).words
 
 
 def test_the_object_of_posed_photographs_without_masks_can_be_cut_out(settings, tmp_path):
     (tmp_path / "transforms.json").write_text("{}")
     settings.dataset = str(tmp_path)
-    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    assert not draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.capture")
     settings.inspected = json.dumps({"rows": ROWS, "warnings": []})
-    (button,) = draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    (button,) = draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.capture")
     assert button.live and button.values["directory"] == str(tmp_path) and button.values["marker"] == 0
     settings.inspected = json.dumps({"rows": [*ROWS[:-1], ["masks", "40 of 40 training views"]], "warnings": []})
-    assert not draw(dataset.IRGSPP_PT_dataset).buttons("irgspp.capture")
+    assert not draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.capture")
 
 
 def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
@@ -117,7 +119,7 @@ def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
 def test_a_dataset_that_can_not_be_read_shows_the_error(settings, tmp_path):
     settings.dataset = str(tmp_path)
     add_job(tmp_path, kind="inspect", state="failed", error="transforms.json: no such file", data={"dataset": str(tmp_path.resolve())})
-    assert "transforms.json: no such file" in draw(dataset.IRGSPP_PT_dataset).words
+    assert "transforms.json: no such file" in draw(photographs.IRGSPP_PT_photographs).words
 
 
 def test_a_running_reconstruction(settings, tmp_path):
@@ -166,9 +168,9 @@ def test_a_stopped_reconstruction_can_be_resumed(settings, tmp_path, state):
 def test_a_job_of_another_run_is_not_shown(settings, tmp_path):
     settings.run = str(tmp_path / "mine")
     add_job(tmp_path / "other", state="done")
-    assert reconstruct.current_job(settings.run_path()) is None
+    assert job_card.current_job(settings.run_path()) is None
     add_job(tmp_path / "other", id="j2", state="running")
-    assert reconstruct.current_job(settings.run_path()).id == "j2"  # but what is under way is
+    assert job_card.current_job(settings.run_path()).id == "j2"  # but what is under way is
 
 
 def test_list_of_jobs(settings, tmp_path):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import bpy
 import pytest
 from blender_side import write_sphere_run
-from irgspp.panels import relight, result
+from irgspp.panels import export, relight, result
 from panel_states import add_job, finished_run
 from panel_states import settings as settings
 from recording_layout import draw
@@ -25,7 +25,7 @@ def test_the_result_is_offered_then_shown(settings, run_folder):
     assert "irgspp_source" in drawn.properties and "triangles, textures 128" in drawn.words
     settings.run = ""  # the selected object knows where it is from
     assert "irgspp_source" in draw(result.IRGSPP_PT_result).properties
-    for panel in (result.IRGSPP_PT_bake, result.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
+    for panel in (result.IRGSPP_PT_bake, export.IRGSPP_PT_export, relight.IRGSPP_PT_relight):
         assert not hasattr(panel, "poll") or panel.poll(bpy.context)
         draw(panel)
     assert '["irgspp_albedo_scale"]' in draw(relight.IRGSPP_PT_relight).properties
@@ -52,7 +52,7 @@ def test_a_run_that_is_not_finished(settings, tmp_path, status):
 
 @pytest.mark.parametrize(
     ("kind", "panel"),
-    [("bake", result.IRGSPP_PT_bake), ("export", result.IRGSPP_PT_export), ("render", relight.IRGSPP_PT_relight_files)],
+    [("bake", result.IRGSPP_PT_bake), ("export", export.IRGSPP_PT_export), ("render", relight.IRGSPP_PT_relight_files)],
 )
 def test_work_on_a_run_is_shown_where_it_was_started(settings, tmp_path, kind, panel):
     settings.run = str(finished_run(tmp_path / "run"))
@@ -131,9 +131,9 @@ def test_folder_contact_sheet_and_exported_file_are_at_hand(settings, tmp_path):
     (tmp_path / "out").mkdir()
     file = tmp_path / "out" / "spot.glb"
     add_job(tmp_path, kind="export", state="done", made=time.time(), data={"run": str(run), "file": str(file)})
-    assert not draw(result.IRGSPP_PT_export).buttons("wm.path_open")  # it was deleted meanwhile
+    assert not draw(export.IRGSPP_PT_export).buttons("wm.path_open")  # it was deleted meanwhile
     file.touch()
-    (show,) = draw(result.IRGSPP_PT_export).buttons("wm.path_open")
+    (show,) = draw(export.IRGSPP_PT_export).buttons("wm.path_open")
     assert (show.text, show.values) == ("Show spot.glb", {"filepath": str(tmp_path / "out")})
 
 
@@ -141,7 +141,7 @@ def test_export_offers_each_format_what_it_can_have(settings, tmp_path):
     run = finished_run(tmp_path / "run")
     settings.run = str(run)
     settings.export_lods, settings.export_textures, settings.export_normal_map = True, "beside", "directx"
-    drawn = draw(result.IRGSPP_PT_export)
+    drawn = draw(export.IRGSPP_PT_export)
     assert {"export_lods", "export_collision", "export_textures", "export_normal_map"} <= set(drawn.properties)
     values = {Path(button.values["filepath"]).suffix: button.values for button in drawn.buttons("irgspp.export")}
     assert list(values) == [".glb", ".usdc", ".usdz", ".fbx", ".obj", ".blend", ".ply", ".exr"]
@@ -149,5 +149,5 @@ def test_export_offers_each_format_what_it_can_have(settings, tmp_path):
     assert {suffix for suffix in values if values[suffix]["textures"] == "beside"} == {".usdc", ".fbx", ".obj", ".blend"}
     assert {suffix for suffix in values if values[suffix]["normal_map"] == "directx"} == {".fbx", ".obj"}
     settings.export_textures = "packed"
-    values = {Path(button.values["filepath"]).suffix: button.values for button in draw(result.IRGSPP_PT_export).buttons("irgspp.export")}
+    values = {Path(button.values["filepath"]).suffix: button.values for button in draw(export.IRGSPP_PT_export).buttons("irgspp.export")}
     assert {suffix for suffix in values if values[suffix]["textures"] == "packed"} == {".glb", ".usdz", ".fbx", ".blend"}

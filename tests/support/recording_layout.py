@@ -28,7 +28,7 @@ class RecordingLayout:
     def __init__(self, parent: RecordingLayout | None = None) -> None:
         self.drawn: list[tuple] = parent.drawn if parent else []
         self._parent = parent
-        self.enabled, self.alert, self.scale_y, self.alignment = True, False, 1.0, "EXPAND"
+        self.enabled, self.active, self.alert, self.scale_y, self.alignment = True, True, False, 1.0, "EXPAND"
         self.use_property_split = self.use_property_decorate = False
 
     @property

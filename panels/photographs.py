@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Panel of the dataset: its folder, its inspection, and its import into the scene."""
+"""Panel of step 1: choose photographs, and see what is there."""
 
 from __future__ import annotations
 
@@ -11,31 +11,29 @@ from typing import Any
 import bpy
 
 from ..irgspp_addon.engine import process as engine
-from ..irgspp_addon.importer.arrangement import is_imported_camera
-from ..irgspp_addon.importer.capture_file import CaptureSummary
-from ..irgspp_addon.importer.mask_image import is_captured_camera
+from ..irgspp_addon.importer.photographs import BarePhotographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
-from ..irgspp_addon.properties import beside
-from .capture import draw_capture, draw_find_cameras
-from .capture_state import capture_of, problem_of, thumbnails
+from .capture_state import bare_photographs, cameras_missing, capture_of, problem_of, thumbnails
 from .images import image
-from .job_card import draw_last
 from .run_state import resolved
-from .sidebar import SidebarPanel, button, say, settings_column
+from .sidebar import SidebarPanel, button, say
+from .steps import PHOTOGRAPHS, StepPanel
 
 THUMBNAIL = 3.2  # height of a photograph in rows of buttons
 SHOWN = ("format", "views", "images", "masks", "points")  # rows of an inspection that the panel shows
+ENOUGH = 20  # photographs below which the panel asks for more
 
 
-class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
-    """Panel of the photographs and their cameras."""
+class IRGSPP_PT_photographs(StepPanel, SidebarPanel, bpy.types.Panel):
+    """Panel of the photographs."""
 
-    bl_label = "Dataset"
+    bl_label = "1 Photographs"
     bl_order = 2
+    step = PHOTOGRAPHS
 
     def draw(self, context: bpy.types.Context) -> None:
-        """Draw the folder, the buttons, the inspection, and the guide where no folder is chosen."""
+        """Draw the folder and what is in it, or the guide where no folder is chosen."""
         layout, settings = self.layout, context.scene.irgspp
         row = layout.row(align=True)
         row.prop(settings, "dataset", text="")
@@ -50,36 +48,15 @@ class IRGSPP_PT_dataset(SidebarPanel, bpy.types.Panel):
             column.alert = True
             say(column, context, problem, icon="ERROR")
         draw_thumbnails(layout, dataset)
-        capture = capture_of(dataset)
-        if not draw_find_cameras(layout, context, dataset, capture):
-            draw_import(layout, settings, str(dataset), not problem)
+        bare = bare_photographs(dataset)
+        if bare is not None:
+            draw_count(layout, context, bare)
+        elif not cameras_missing(dataset, capture_of(dataset)):
+            row = layout.row()
+            row.enabled = not problem and engine.status().usable
+            button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=str(dataset))
         draw_inspection(layout, context, last_inspection(dataset))
         draw_summary(layout, context, settings.inspected)
-        draw_cut_out(layout, context, dataset, settings.inspected, capture)
-        draw_capture(layout, context, dataset, capture)
-        if is_imported_camera(context.object):
-            button(layout, "irgspp.look_through", f"Look Through {context.object.name}", "VIEW_CAMERA", camera=context.object.name)
-            if is_captured_camera(context.object):
-                button(layout, "irgspp.edit_mask", "Edit Mask", "BRUSH_DATA", camera=context.object.name)
-
-
-class IRGSPP_PT_import_options(SidebarPanel, bpy.types.Panel):
-    """Panel of the options for the import of cameras and points."""
-
-    bl_label = "Import Options"
-    bl_parent_id = "IRGSPP_PT_dataset"
-    bl_options = {"DEFAULT_CLOSED"}  # noqa: RUF012 (Blender wants a plain set)
-
-    @classmethod
-    def poll(cls, context: bpy.types.Context) -> bool:
-        """Return True where a dataset is chosen."""
-        return bool(context.scene.irgspp.dataset)
-
-    def draw(self, context: bpy.types.Context) -> None:
-        """Draw the options."""
-        column = settings_column(self.layout)
-        for name in ("up_axis", "scale", "recentre", "with_photographs", "with_points"):
-            column.prop(context.scene.irgspp, name)
 
 
 def draw_guide(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -112,30 +89,23 @@ def draw_thumbnails(layout: bpy.types.UILayout, dataset: Path) -> None:
         image(row, photograph, scale=THUMBNAIL)
 
 
-def draw_import(layout: bpy.types.UILayout, settings: bpy.types.PropertyGroup, dataset: str, enabled: bool) -> None:
-    """Draw the buttons that inspect and import a dataset.
+def draw_count(layout: bpy.types.UILayout, context: bpy.types.Context, bare: BarePhotographs) -> None:
+    """Draw the number of photographs without cameras, and a warning where they are few.
 
     Args:
         layout: to draw into.
-        settings: of the scene.
-        dataset: path of the dataset.
-        enabled: False where there is nothing to read.
+        context: of the panel.
+        bare: photographs and videos of the chosen folder.
     """
-    row = layout.row(align=True)
-    row.enabled = enabled and engine.status().usable
-    button(row, "irgspp.inspect_dataset", "Inspect", "VIEWZOOM", directory=dataset)
-    button(
-        row,
-        "irgspp.import_dataset",
-        "Import Cameras",
-        "CAMERA_DATA",
-        directory=dataset,
-        up_axis=settings.up_axis,
-        scale=settings.scale,
-        recentre=settings.recentre,
-        photographs=settings.with_photographs,
-        points=settings.with_points,
-    )
+    say(layout, context, f"Photographs without cameras: {count_in_words(bare)}", icon="INFO")
+    if bare.complete and not bare.videos and bare.photographs < ENOUGH:
+        say(layout, context, f"That is few: {ENOUGH} or more from all around give a good object.", icon="ERROR")
+
+
+def count_in_words(bare: BarePhotographs) -> str:
+    """Return the number of photographs and videos as "23 files" or "1 video, 3 files"."""
+    parts = [f"{n} {word}{'' if n == 1 else 's'}" for n, word in ((bare.videos, "video"), (bare.photographs, "file")) if n]
+    return ", ".join(parts) + ("" if bare.complete else " and more")
 
 
 def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
@@ -192,32 +162,10 @@ def draw_summary(layout: bpy.types.UILayout, context: bpy.types.Context, inspect
         say(box, context, warning, icon="ERROR")
 
 
-def draw_cut_out(
-    layout: bpy.types.UILayout, context: bpy.types.Context, dataset: Path, inspected: str, capture: CaptureSummary | None
-) -> None:
-    """Draw the button that cuts the object out of photographs that have cameras and no masks.
-
-    Args:
-        layout: to draw into.
-        context: of the panel.
-        dataset: that the user chose.
-        inspected: summary of the dataset as JSON; empty without one.
-        capture: summary of its capture.json; None without one.
-    """
-    facts = parsed(inspected)
-    if capture is not None or not facts or "none" not in (text for name, text in facts["rows"] if name == "masks"):
-        return
-    say(layout, context, "Without masks, the surroundings are reconstructed, too.", icon="INFO")
-    column = layout.column()
-    column.enabled = engine.status().usable
-    button(column, "irgspp.capture", "Cut Out the Object", "MOD_MASK", directory=str(dataset), marker=0.0, turntable="auto")
-    draw_last(layout, context, "capture", beside(resolved(dataset) or dataset, "_capture"))
-
-
 @lru_cache(maxsize=4)
 def parsed(inspected: str) -> dict[str, Any]:
     """Return the summary of an inspection from JSON; empty without one."""
     return json.loads(inspected) if inspected else {}
 
 
-CLASSES = (IRGSPP_PT_dataset, IRGSPP_PT_import_options)
+CLASSES = (IRGSPP_PT_photographs,)
