@@ -10,6 +10,7 @@ from ..irgspp_addon.jobs.job import Job
 from .capture_state import bare_photographs, capture_of
 from .job_card import can_resume, current_job, draw_job
 from .photographs import parsed
+from .presets import draw_presets
 from .run_state import resolved, run_state
 from .sidebar import SidebarPanel, button, say, settings_column
 from .steps import RECONSTRUCT, StepPanel, obstacle
@@ -27,8 +28,9 @@ class IRGSPP_PT_reconstruct(StepPanel, SidebarPanel, bpy.types.Panel):
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the options, the buttons, and the job."""
         layout, settings = self.layout, context.scene.irgspp
+        draw_presets(layout, settings)
         column = settings_column(layout)
-        for name in ("preset", "materials", "device"):
+        for name in ("materials", "device"):
             column.prop(settings, name)
         job = current_job(settings.run_path())
         if job is None or job.finished:  # else the job's card has the buttons

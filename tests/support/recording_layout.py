@@ -53,6 +53,11 @@ class RecordingLayout:
         assert icon in known_icons(), icon
         self.drawn.append(("prop", name, self.live))
 
+    def prop_enum(self, data: Any, name: str, value: str, text: str | None = None, icon: str = "NONE") -> None:
+        assert value in data.bl_rna.properties[name].enum_items, f"{name} has no value {value}"
+        assert icon in known_icons(), icon
+        self.drawn.append(("choice", name, value, self.live))
+
     def operator(self, idname: str, text: str = "", icon: str = "NONE", **_: Any) -> Button:
         assert icon in known_icons(), icon
         button = Button(idname)
