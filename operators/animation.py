@@ -9,6 +9,7 @@ from bpy.props import BoolProperty, IntProperty, StringProperty
 from ..irgspp_addon.importer.run_frame import chosen_run
 from ..irgspp_addon.relight import animation
 from ..irgspp_addon.relight.session import session_of
+from ..irgspp_addon.translations import translated
 from .blocking import SKIP, StartedByButton, refusing
 
 
@@ -69,7 +70,7 @@ class IRGSPP_OT_stop_animation(bpy.types.Operator):
         """Return True while an animation is rendered."""
         last = animation.animation()
         if last is None or last.ended:
-            cls.poll_message_set("No animation is rendered")
+            cls.poll_message_set(translated("No animation is rendered"))
             return False
         return True
 

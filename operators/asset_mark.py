@@ -15,6 +15,7 @@ from ..core.scene.camera_files import load_run_cameras
 from ..irgspp_addon.importer.asset_mark import AssetDetails, details_of, mark_asset, missing_images, set_preview
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
+from ..irgspp_addon.translations import translated
 from ..irgspp_addon.windows import redraw
 from .blocking import RUN, SKIP, refuse, refusing
 from .result import named_run
@@ -85,7 +86,10 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
         words = tuple(dict.fromkeys(word.strip() for word in self.tags.split(",") if word.strip()))
         mark_asset(thing, AssetDetails(self.author, self.licence, self.description, words, self.catalogue.strip()))
         if missing := missing_images(thing):
-            self.report({"WARNING"}, f"{', '.join(missing)}: not packed, and their files are missing: others will not find them")
+            self.report(
+                {"WARNING"},
+                translated("{names}: not packed, and their files are missing: others will not find them", names=", ".join(missing)),
+            )
         self._preview(thing, run)
         redraw("VIEW_3D", "FILE_BROWSER")  # the panel, and Asset Browsers
         return {"FINISHED"}
@@ -102,7 +106,7 @@ class IRGSPP_OT_mark_asset(bpy.types.Operator):
         try:
             set_preview(thing, relit_preview(thing, run))
         except IrgsppError as error:
-            self.report({"WARNING"}, f"The preview is Blender's own: {error}")
+            self.report({"WARNING"}, translated("The preview is Blender's own: {error}", error=error))
             if not bpy.app.background:  # where Blender could crash without a graphics card
                 thing.asset_generate_preview()
 

@@ -20,6 +20,7 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import VIDEOS, beside, set_quietly
+from ..irgspp_addon.translations import translated
 from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
 from .command_words import capture_words, set_words
 from .file_dialog import FileDialog
@@ -95,8 +96,8 @@ class IRGSPP_OT_capture(Queued, bpy.types.Operator):
         words += [*capture_words(self.marker, self.turntable), *set_words(self.settings)]
         data = {**result_import.place_of(scene), "source": str(source), "run": str(folder)}
         on_done = "import_capture" if self.import_result and not self.wait else None
-        task = "Find cameras" if find_bare_photographs(source) else "Cut out the object"
-        return jobs.start("capture", f"{task} of {source.name}", folder, words, on_done, data)
+        title = "Find cameras of {name}" if find_bare_photographs(source) else "Cut out the object of {name}"
+        return jobs.start("capture", translated(title, name=source.name), folder, words, on_done, data)
 
 
 def start_cut(scene: bpy.types.Scene, folder: Path, moved: list[str], on_done: str | None, data: dict[str, Any] | None = None) -> Job:
@@ -110,7 +111,7 @@ def start_cut(scene: bpy.types.Scene, folder: Path, moved: list[str], on_done: s
         data: more data for that function.
     """
     options = [word for setting in moved for word in ("--set", setting)]
-    return start_change(scene, folder, f"Cut out the object of {folder.name}", options, on_done, data)
+    return start_change(scene, folder, translated("Cut out the object of {name}", name=folder.name), options, on_done, data)
 
 
 def start_change(
@@ -134,13 +135,13 @@ def start_change(
 def found(capture: CaptureSummary | None) -> str:
     """Return the outcome of a capture in one line: photographs used, and those left out with the reason."""
     if capture is None or capture.status != "done":
-        return "no cameras were found"
-    text = f"cameras of {capture.used} photographs found"
+        return translated("no cameras were found")
+    text = translated("cameras of {count} photographs found", count=capture.used)
     if not capture.left_out:
         return text
     named = "; ".join(f"{name}: {reason}" for name, reason in capture.left_out[:NAMED])
-    more = f"; and {len(capture.left_out) - NAMED} more" if len(capture.left_out) > NAMED else ""
-    return f"{text}, {len(capture.left_out)} left out ({named}{more})"
+    more = translated("; and {count} more", count=len(capture.left_out) - NAMED) if len(capture.left_out) > NAMED else ""
+    return text + translated(", {count} left out", count=len(capture.left_out)) + f" ({named}{more})"
 
 
 def import_when_captured(job: Job) -> None:

@@ -14,6 +14,7 @@ from ..irgspp_addon.engine.preferences import preferences
 from ..irgspp_addon.jobs import engine_check as engine_check
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.preferences_page import DEVICES
+from ..irgspp_addon.translations import translated
 from .blocking import SKIP, WAIT, Queued, StartedByButton, refuse, refusing, run_to_end
 
 
@@ -27,7 +28,7 @@ class IRGSPP_OT_check_engine(StartedByButton, bpy.types.Operator):
     def start(self, context: bpy.types.Context) -> set[str]:
         """Check the engine in the background, so that the window stays responsive."""
         job = engine_check.check_in_background()
-        self.report({"INFO"} if job else {"WARNING"}, "Checking the engine" if job else engine.status().text)
+        self.report({"INFO"} if job else {"WARNING"}, translated("Checking the engine") if job else engine.status().text)
         return {"FINISHED"}
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -67,7 +68,7 @@ class IRGSPP_OT_install_engine(Queued, bpy.types.Operator):
         index = chosen.package_index if chosen is not None else ""
         arguments = managed_engine.install_arguments(device, wheels, index, bpy.app.online_access)
         place = managed_engine.folder()
-        job = jobs.start("install", "Install engine", place, arguments, program=str(managed_engine.INSTALLER))
+        job = jobs.start("install", translated("Install engine"), place, arguments, program=str(managed_engine.INSTALLER))
         if chosen is not None:
             chosen.engine_kind = "MANAGED"
         return run_to_end(self, job) if self.wait else {"FINISHED"}
@@ -83,10 +84,10 @@ class IRGSPP_OT_remove_engine(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where this extension has installed an engine and no job needs it."""
         if not managed_engine.is_installed():
-            cls.poll_message_set("This extension has not installed an engine")
+            cls.poll_message_set(translated("This extension has not installed an engine"))
             return False
         if jobs.unfinished():
-            cls.poll_message_set("Jobs are running or waiting")
+            cls.poll_message_set(translated("Jobs are running or waiting"))
             return False
         return True
 
@@ -115,7 +116,7 @@ class IRGSPP_OT_open_engine_folder(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where this extension has installed an engine."""
-        cls.poll_message_set("This extension has not installed an engine")
+        cls.poll_message_set(translated("This extension has not installed an engine"))
         return managed_engine.is_installed()
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -17,6 +17,7 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import CHOSEN, set_quietly
+from ..irgspp_addon.translations import translated
 from .blocking import WAIT, Queued, refuse, refusing, run_to_end
 from .import_run import select
 from .placed_import import PlacedImport
@@ -42,7 +43,9 @@ class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
         dataset = checked(self.directory)
         data = {**result_import.place_of(context.scene), "dataset": str(dataset)}
         words = ["inspect", str(dataset), "--json"]
-        job = jobs.start("inspect", f"Inspect {dataset.name}", None, words, None if self.wait else "show_inspection", data)
+        job = jobs.start(
+            "inspect", translated("Inspect {name}", name=dataset.name), None, words, None if self.wait else "show_inspection", data
+        )
         ended = run_to_end(self, job) if self.wait else {"FINISHED"}
         if self.wait and ended == {"FINISHED"}:
             show_inspection(job)
@@ -63,7 +66,9 @@ def inspect_chosen(scene: bpy.types.Scene) -> Job | None:
         if not job.finished and job.on_done == "show_inspection":  # of photographs that were chosen before
             jobs.cancel(job)
     try:
-        return jobs.start("inspect", f"Inspect {dataset.name}", None, ["inspect", str(dataset), "--json"], "show_inspection", data)
+        return jobs.start(
+            "inspect", translated("Inspect {name}", name=dataset.name), None, ["inspect", str(dataset), "--json"], "show_inspection", data
+        )
     except IrgsppError:  # the button Inspect tells why
         return None
 
@@ -120,7 +125,9 @@ class IRGSPP_OT_import_dataset(PlacedImport, bpy.types.Operator):
         if not self.was_read and not is_fresh(dataset, folder):
             data = {**result_import.place_of(context.scene), "options": {name: getattr(self, name) for name in OPTIONS}}
             on_done = None if self.wait else "import_dataset"
-            job = jobs.start("inspect", f"Import {dataset.name}", None, export_arguments(dataset, folder), on_done, data)
+            job = jobs.start(
+                "inspect", translated("Import {name}", name=dataset.name), None, export_arguments(dataset, folder), on_done, data
+            )
             ended = run_to_end(self, job) if self.wait else None
             if ended != {"FINISHED"}:
                 return ended or {"FINISHED"}

@@ -11,6 +11,7 @@ from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, 
 from ..irgspp_addon.importer.cameras import look_through
 from ..irgspp_addon.importer.photograph_comparison import fade, opacity
 from ..irgspp_addon.importer.run_root import run_of
+from ..irgspp_addon.translations import translated
 from .blocking import refusing
 
 
@@ -48,7 +49,7 @@ class IRGSPP_OT_step_photograph(bpy.types.Operator):
     @classmethod
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where the scene has imported cameras."""
-        cls.poll_message_set("The scene has no imported cameras")
+        cls.poll_message_set(translated("The scene has no imported cameras"))
         return any(is_imported_camera(thing) for thing in context.scene.objects)
 
     def execute(self, context: bpy.types.Context) -> set[str]:

@@ -10,6 +10,7 @@ from bpy.props import EnumProperty, StringProperty
 
 from ..core.errors import InputError
 from ..irgspp_addon.importer.mask_image import open_mask, save_masks
+from ..irgspp_addon.translations import translated
 from ..irgspp_addon.windows import fit_image, in_area, open_image_editor
 from .blocking import SKIP, refuse, refusing
 
@@ -63,7 +64,7 @@ class IRGSPP_OT_mask_brush(bpy.types.Operator):
         area = context.area
         ready = area is not None and area.type == "IMAGE_EDITOR" and area.spaces.active.ui_mode == "PAINT"
         if not ready or context.workspace.tools.from_space_image_mode("PAINT") is None:
-            cls.poll_message_set("Set the Image Editor's mode to Paint")
+            cls.poll_message_set(translated("Set the Image Editor's mode to Paint"))
             return False
         return True
 
@@ -93,7 +94,7 @@ class IRGSPP_OT_save_masks(bpy.types.Operator):
     def execute(self, context: bpy.types.Context) -> set[str]:
         """Write the masks."""
         written = save_masks()
-        self.report({"INFO"}, f"{len(written)} mask{'' if len(written) == 1 else 's'} saved")
+        self.report({"INFO"}, translated("1 mask saved" if len(written) == 1 else "{count} masks saved", count=len(written)))
         return {"FINISHED"}
 
 

@@ -18,6 +18,7 @@ from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.properties import beside
+from ..irgspp_addon.translations import translated
 from .blocking import IMPORT, SKIP, WAIT, Queued, refusing, run_to_end
 from .capture import start_cut, use_capture
 from .command_words import capture_words, set_words
@@ -75,7 +76,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         self._take_from_scene(context.scene)
         cut = self._start_cut(context.scene)
         if cut is not None and not self.wait:
-            self.report({"INFO"}, f"{cut.title}: {cut.state}; the reconstruction follows")
+            self.report({"INFO"}, translated("{job}: {state}; the reconstruction follows", job=cut.title, state=translated(cut.state)))
             return {"FINISHED"}
         if cut is not None:
             if (ended := run_to_end(self, cut)) != {"FINISHED"}:
@@ -83,7 +84,7 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
             use_capture(context.scene, cut, wait=True)
         job = self._start(context.scene)
         if not self.wait:
-            self.report({"INFO"}, f"{job.title}: {job.state}")
+            self.report({"INFO"}, f"{job.title}: {translated(job.state)}")
             return {"FINISHED"}
         ended = run_to_end(self, job)
         if ended == {"FINISHED"} and self.import_result:
@@ -132,7 +133,9 @@ class IRGSPP_OT_reconstruct(bpy.types.Operator):
         place = result_import.place_of(scene, scene.irgspp.source, scene.irgspp.pack)
         on_done = "import_result" if self.import_result and not self.wait else None
         save_masks()  # else the reconstruction would read them without what was painted last
-        return jobs.start("reconstruct", f"Reconstruct {dataset.name}", run, self._arguments(scene, dataset, run), on_done, place)
+        return jobs.start(
+            "reconstruct", translated("Reconstruct {name}", name=dataset.name), run, self._arguments(scene, dataset, run), on_done, place
+        )
 
     def _arguments(self, scene: bpy.types.Scene, dataset: Path, run: Path) -> list[str]:
         words = ["reconstruct", str(dataset), "-o", str(run)]
@@ -173,7 +176,7 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
         words = ["demo", "-o", str(run), *set_words(self.settings)]
         on_done = "import_result" if self.import_result and not self.wait else None
         place = result_import.place_of(context.scene, panel.source, panel.pack)
-        job = jobs.start("demo", "Demonstration", run, words, on_done, place)
+        job = jobs.start("demo", translated("Demonstration"), run, words, on_done, place)
         if not self.wait:
             return {"FINISHED"}
         ended = run_to_end(self, job)

@@ -20,6 +20,7 @@ from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.left_out import seen_objects
 from ..irgspp_addon.relight.live_image import Follower
 from ..irgspp_addon.relight.session import session_of
+from ..irgspp_addon.translations import translated
 from ..irgspp_addon.world.scene_lamps import scene_lamps
 from ..irgspp_addon.world.world_light import save_light, world_light
 from .blocking import RUN, SKIP, WAIT, Queued, StartedByButton, refusing, run_to_end
@@ -87,7 +88,7 @@ class IRGSPP_OT_relight_stop(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where a preview is running."""
         if not preview.preview_running():
-            cls.poll_message_set("No preview is running")
+            cls.poll_message_set(translated("No preview is running"))
             return False
         return True
 
@@ -112,7 +113,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where the scene has a World."""
         if context.scene.world is None:
-            cls.poll_message_set("The scene has no World")
+            cls.poll_message_set(translated("The scene has no World"))
             return False
         return True
 
@@ -134,7 +135,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
             raise InputError("world_to_map", "no file is named", "give filepath=")
         path = Path(bpy.path.abspath(self.filepath)).absolute()
         save_light(world_light(context.scene.world, context.scene.frame_current), path, self.height)
-        self.report({"INFO"}, f"The World is saved as {path.name}")
+        self.report({"INFO"}, translated("The World is saved as {name}", name=path.name))
         return {"FINISHED"}
 
 
@@ -166,7 +167,9 @@ class IRGSPP_OT_render_views(Queued, bpy.types.Operator):
         """Start the rendering as a job."""
         run = _run(context, self.run)
         output = Path(bpy.path.abspath(self.output)).absolute() if self.output else run / "relit"
-        job = jobs.start("render", f"Render {run.name}", output, self._arguments(context, run, output), data={"run": str(run)})
+        job = jobs.start(
+            "render", translated("Render {name}", name=run.name), output, self._arguments(context, run, output), data={"run": str(run)}
+        )
         return run_to_end(self, job) if self.wait else {"FINISHED"}
 
     def _arguments(self, context: bpy.types.Context, run: Path, output: Path) -> list[str]:

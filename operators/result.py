@@ -19,6 +19,7 @@ from ..irgspp_addon.importer.run_root import run_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .blocking import IMPORT, RUN, SKIP, WAIT, Queued, refuse, refusing, run_to_end
 
 ENDINGS = f"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}"
@@ -50,7 +51,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
         run = named_run(context, self.run)
         arguments, data = self._arguments(context, run), self._data(context, run)
         on_done = "import_bake" if self.import_result and not self.wait else None
-        job = jobs.start("bake", f"Bake {run.name}", run, arguments, on_done, data)
+        job = jobs.start("bake", translated("Bake {name}", name=run.name), run, arguments, on_done, data)
         ended = run_to_end(self, job) if self.wait else {"FINISHED"}
         if self.wait and self.import_result and ended == {"FINISHED"}:
             import_bake(job)
@@ -129,7 +130,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
         words += ["--lods"] if self.lods else []
         words += ["--collision"] if self.collision else []
         words += ["--textures", self.textures, "--normal-map", self.normal_map]
-        job = jobs.start("export", f"Export {target.name}", run, words, data={"file": str(target), "run": str(run)})
+        job = jobs.start("export", translated("Export {name}", name=target.name), run, words, data={"file": str(target), "run": str(run)})
         return run_to_end(self, job) if self.wait else {"FINISHED"}
 
 

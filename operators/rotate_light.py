@@ -9,6 +9,7 @@ from typing import Any
 import bpy
 from bpy.props import FloatProperty
 
+from ..irgspp_addon.translations import translated
 from ..irgspp_addon.world.light_controls import UP, light_controls
 from .blocking import SKIP
 
@@ -31,7 +32,7 @@ class IRGSPP_OT_rotate_light(bpy.types.Operator):
     def poll(cls, context: bpy.types.Context) -> bool:
         """Return True where the World has a rotation that can be set."""
         if light_controls(context.scene.world).rotation is None:
-            cls.poll_message_set("The World has no Mapping node to rotate; open an HDRI")
+            cls.poll_message_set(translated("The World has no Mapping node to rotate; open an HDRI"))
             return False
         return True
 
@@ -79,7 +80,8 @@ class IRGSPP_OT_rotate_light(bpy.types.Operator):
         """Set the rotation and tell it in the area's header."""
         _socket(context).default_value[UP] = angle
         if context.area is not None:
-            context.area.header_text_set(f"Rotation {degrees(angle):.1f}°   click: confirm, Esc: restore, Shift: precise")
+            text = translated("Rotation {angle}°   click: confirm, Esc: restore, Shift: precise", angle=f"{degrees(angle):.1f}")
+            context.area.header_text_set(text)
 
     def _end(self, context: bpy.types.Context, result: set[str]) -> set[str]:
         """Give the header back and return the result."""

@@ -12,6 +12,7 @@ from ..core.errors import InputError
 from ..irgspp_addon.importer.capture_file import read_capture
 from ..irgspp_addon.importer.dataset_import import checked
 from ..irgspp_addon.importer.measure import measured_points, place_ends
+from ..irgspp_addon.translations import translated
 from .blocking import SKIP, WAIT, Queued, refusing, run_to_end
 from .capture import start_change, use_capture
 
@@ -83,7 +84,7 @@ class IRGSPP_OT_true_size(Queued, bpy.types.Operator):
             raise InputError("distance", "is 0", "enter the true distance of the measured points in metres")
         options = ["--distance", *(f"{value:.7g}" for value in measured_points(scene, folder).ravel()), f"{metres:.9f}m"]
         on_done = "import_capture" if self.import_result and not self.wait else None
-        job = start_change(scene, folder, f"Set the true size of {folder.name}", options, on_done)
+        job = start_change(scene, folder, translated("Set the true size of {name}", name=folder.name), options, on_done)
         ended = run_to_end(self, job) if self.wait else {"FINISHED"}
         if self.wait and ended == {"FINISHED"} and self.import_result:
             use_capture(scene, job, wait=True)

@@ -13,6 +13,7 @@ from ..irgspp_addon.importer.capture_file import CaptureSummary
 from ..irgspp_addon.importer.mask_image import is_captured_camera
 from ..irgspp_addon.importer.object_sphere import find_sphere, is_changed
 from ..irgspp_addon.properties import beside
+from ..irgspp_addon.translations import translated
 from .capture import draw_capture, draw_find_cameras
 from .capture_state import cameras_missing, capture_of
 from .job_card import draw_last
@@ -123,7 +124,8 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, dataset:
     """
     sphere = find_sphere(context.scene, resolved(dataset))
     if sphere is not None and not is_changed(sphere) and not sphere.hide_viewport:
-        say(layout, context, f'Move or scale the sphere "{sphere.name}" if it does not surround the object.', icon="SPHERE")
+        text = translated('Move or scale the sphere "{name}" if it does not surround the object.', name=sphere.name)
+        say(layout, context, text, icon="SPHERE")
 
 
 def draw_camera(layout: bpy.types.UILayout, thing: bpy.types.Object | None) -> None:
@@ -135,7 +137,7 @@ def draw_camera(layout: bpy.types.UILayout, thing: bpy.types.Object | None) -> N
     """
     if thing is None or not is_imported_camera(thing):
         return
-    button(layout, "irgspp.look_through", f"Look Through {thing.name}", "VIEW_CAMERA", camera=thing.name)
+    button(layout, "irgspp.look_through", translated("Look Through {name}", name=thing.name), "VIEW_CAMERA", camera=thing.name)
     if is_captured_camera(thing):
         button(layout, "irgspp.edit_mask", "Edit Mask", "BRUSH_DATA", camera=thing.name)
 

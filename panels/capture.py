@@ -13,6 +13,7 @@ from ..irgspp_addon.importer.measure import PARTS, find_ends
 from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.properties import beside
+from ..irgspp_addon.translations import translated
 from .capture_state import capture_of
 from .job_card import draw_last
 from .run_state import resolved
@@ -60,9 +61,10 @@ def draw_capture(layout: bpy.types.UILayout, context: bpy.types.Context, dataset
         say(row, context, name)
         say(row, context, text, width=0.73)
     for name, reason in capture.left_out[:SHOWN]:
-        say(box, context, f"Left out {name}: {reason}", icon="ERROR")
+        say(box, context, translated("Left out {name}: {reason}", name=name, reason=reason), icon="ERROR")
     if len(capture.left_out) > SHOWN:
-        say(box, context, f"and {len(capture.left_out) - SHOWN} more; the report names them", icon="BLANK1")
+        more = len(capture.left_out) - SHOWN
+        say(box, context, translated("and {count} more; the report names them", count=more), icon="BLANK1")
     draw_cut(box, context, dataset)
     draw_true_size(box, context, dataset)
     row = box.row(align=True)
@@ -113,8 +115,12 @@ def draw_true_size(layout: bpy.types.UILayout, context: bpy.types.Context, datas
 
 def capture_rows(capture: CaptureSummary) -> list[tuple[str, str]]:
     """Return names and texts of what a capture found: photographs, masks, size."""
-    left_out = f", {len(capture.left_out)} left out" if capture.left_out else ""
-    doubtful = f", {len(capture.doubtful)} doubtful: {', '.join(capture.doubtful[:SHOWN])}" if capture.doubtful else ""
-    masks = f"{capture.masked}{doubtful}" if capture.masked else "none: the whole scene is reconstructed"
+    used, masks = translated("{count} photographs", count=capture.used), str(capture.masked)
+    if capture.left_out:
+        used += translated(", {count} left out", count=len(capture.left_out))
+    if capture.doubtful:
+        masks += translated(", {count} doubtful: {names}", count=len(capture.doubtful), names=", ".join(capture.doubtful[:SHOWN]))
+    if not capture.masked:
+        masks = translated("none: the whole scene is reconstructed")
     size = "true, in metres" if capture.true_size else "unknown; a marker in the photographs or two measured points would tell"
-    return [("Used", f"{capture.used} photographs{left_out}"), ("Masks", masks), ("Size", size)]
+    return [("Used", used), ("Masks", masks), ("Size", size)]

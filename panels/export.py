@@ -10,6 +10,7 @@ import bpy
 
 from ..core.assets.options import AssetOptions
 from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.translations import translated
 from .job_card import draw_last
 from .shown_run import shown_run
 from .sidebar import SidebarPanel, button, say, settings_column
@@ -62,7 +63,7 @@ def draw_exported(layout: bpy.types.UILayout, run: Path | None) -> None:
     done = (job for job in jobs.all_jobs() if job.kind == "export" and job.state == "done" and job.data.get("run") == str(run))
     file = next((Path(job.data["file"]) for job in done if "file" in job.data), None)
     if file is not None and file.is_file():
-        button(layout, "wm.path_open", f"Show {file.name}", "FILE_FOLDER", filepath=str(file.parent))
+        button(layout, "wm.path_open", translated("Show {name}", name=file.name), "FILE_FOLDER", filepath=str(file.parent))
 
 
 CLASSES = (IRGSPP_PT_export,)

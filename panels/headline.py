@@ -7,6 +7,7 @@ import bpy
 
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .job_card import BEGAN, ICONS
 from .phases import total_fraction
 from .sidebar import SidebarPanel, button, say
@@ -63,9 +64,9 @@ def is_trouble(job: Job) -> bool:
 def headline_text(job: Job) -> str:
     """Return a job and its state, such as "Reconstruct spot, 46 %": of the whole reconstruction, of the present step for other jobs."""
     if is_trouble(job):
-        return f"{job.title}: result not used" if job.state == "done" else f"{job.title} failed"
+        return translated("{job}: result not used" if job.state == "done" else "{job} failed", job=job.title)
     if job.state == "queued":
-        return f"{job.title} waits"
+        return translated("{job} waits", job=job.title)
     whole = total_fraction(job.kind, job.phase, job.fraction)
     if whole is None and not job.of:
         return job.title

@@ -10,6 +10,7 @@ import bpy
 
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .capture_state import capture_of
 from .images import image
 from .phases import phase_in_words, total_fraction
@@ -103,7 +104,8 @@ def _draw_stops(layout: bpy.types.UILayout, job: Job) -> None:
 def _draw_end(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, resume: bool) -> None:
     took = job.seconds()
     word = "Stopped" if job.state == "cancelled" and job.error else WORDS[job.state]  # by the user, or with Blender
-    layout.label(text=word + (f" after {seconds_in_words(took)}" if took else ""), icon=ICONS[job.state])
+    text = translated("{state} after {time}", state=translated(word), time=seconds_in_words(took)) if took else word
+    layout.label(text=text, icon=ICONS[job.state])
     if job.error:
         column = layout.column()
         column.alert = job.state != "cancelled"
@@ -126,9 +128,9 @@ def can_resume(job: Job) -> bool:
 def progress_text(job: Job) -> str:
     """Return the text on the progress bar: "46 %, 1:20 min left"; the time is that of the present step."""
     if 0 < job.of <= job.step:
-        return "Finishing this step"  # what follows the last iteration takes a while too
-    left = f", {seconds_in_words(job.eta)} left" if job.eta is not None else ""
-    return f"{100 * job.fraction:.0f} %{left}" if job.of else "Working"
+        return translated("Finishing this step")  # what follows the last iteration takes a while too
+    left = translated(", {time} left", time=seconds_in_words(job.eta)) if job.eta is not None else ""
+    return f"{100 * job.fraction:.0f} %{left}" if job.of else translated("Working")
 
 
 def total_text(job: Job, now: float) -> str:
@@ -146,11 +148,13 @@ def total_text(job: Job, now: float) -> str:
     if gained < ENOUGH:
         return ""
     minutes = (now - began) * (1 - done) / gained / 60
-    return f"About {minutes:.0f} min left in all" if minutes >= 1.5 else "About a minute left in all"
+    if minutes < 1.5:
+        return translated("About a minute left in all")
+    return translated("About {count} min left in all", count=f"{minutes:.0f}")
 
 
 def metrics_text(job: Job) -> str:
     """Return loss and PSNR in one line; empty where neither is known."""
-    parts = [f"Loss {job.metrics['loss']:.4f}"] if "loss" in job.metrics else []
-    parts += [f"PSNR {job.metrics['psnr']:.1f} dB"] if "psnr" in job.metrics else []
+    parts = [translated("Loss {value}", value=f"{job.metrics['loss']:.4f}")] if "loss" in job.metrics else []
+    parts += [translated("PSNR {value} dB", value=f"{job.metrics['psnr']:.1f}")] if "psnr" in job.metrics else []
     return "   ".join(parts)

@@ -10,6 +10,7 @@ import bpy
 
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .job_card import ICONS, draw_job
 from .sidebar import SidebarPanel, button, say
 
@@ -71,7 +72,7 @@ class IRGSPP_PT_jobs(SidebarPanel, bpy.types.Panel):
         """Draw the number of unfinished jobs in the header."""
         busy = sum(not job.finished for job in jobs.all_jobs())
         if busy:
-            self.layout.label(text=f"{busy} unfinished")
+            self.layout.label(text=translated("{count} unfinished", count=busy))
 
     def draw(self, context: bpy.types.Context) -> None:
         """Draw the list and the card of the selected job."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from ..irgspp_addon.translations import translated
+
 STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
     ("Reading photographs and masks", ("read images", "quick fit")),
     ("Choosing the material class and the start", ("materials", "stereo", "start")),
@@ -60,11 +62,12 @@ def phase_in_words(kind: str, phase: str) -> str:
     """
     number = NUMBERS.get(phase)
     if kind in ("reconstruct", "demo") and number:
-        return f"Step {number} of {len(STEPS)}: {STEPS[number - 1][0]}"
+        return translated("Step {number} of {count}: {text}", number=number, count=len(STEPS), text=translated(STEPS[number - 1][0]))
     number = CAPTURE_NUMBERS.get(phase)
     if kind in ("reconstruct", "capture") and number:
-        return f"{'Step' if kind == 'capture' else 'Cameras, step'} {number} of {len(CAPTURE_STEPS)}: {CAPTURE_STEPS[number - 1][0]}"
-    return f"{phase[:1].upper()}{phase[1:]}" if phase else "Starting"
+        template = "Step {number} of {count}: {text}" if kind == "capture" else "Cameras, step {number} of {count}: {text}"
+        return translated(template, number=number, count=len(CAPTURE_STEPS), text=translated(CAPTURE_STEPS[number - 1][0]))
+    return f"{phase[:1].upper()}{phase[1:]}" if phase else translated("Starting")
 
 
 def total_fraction(kind: str, phase: str, fraction: float) -> float | None:

@@ -14,6 +14,7 @@ from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.photographs import BarePhotographs
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .capture_state import bare_photographs, cameras_missing, capture_of, problem_of, thumbnails
 from .images import image
 from .run_state import resolved
@@ -97,15 +98,16 @@ def draw_count(layout: bpy.types.UILayout, context: bpy.types.Context, bare: Bar
         context: of the panel.
         bare: photographs and videos of the chosen folder.
     """
-    say(layout, context, f"Photographs without cameras: {count_in_words(bare)}", icon="INFO")
+    say(layout, context, translated("Photographs without cameras: {count}", count=count_in_words(bare)), icon="INFO")
     if bare.complete and not bare.videos and bare.photographs < ENOUGH:
-        say(layout, context, f"That is few: {ENOUGH} or more from all around give a good object.", icon="ERROR")
+        say(layout, context, translated("That is few: {count} or more from all around give a good object.", count=ENOUGH), icon="ERROR")
 
 
 def count_in_words(bare: BarePhotographs) -> str:
     """Return the number of photographs and videos as "23 files" or "1 video, 3 files"."""
-    parts = [f"{n} {word}{'' if n == 1 else 's'}" for n, word in ((bare.videos, "video"), (bare.photographs, "file")) if n]
-    return ", ".join(parts) + ("" if bare.complete else " and more")
+    words = (bare.videos, "1 video", "{count} videos"), (bare.photographs, "1 file", "{count} files")
+    text = ", ".join(translated(one if count == 1 else several, count=count) for count, one, several in words if count)
+    return text if bare.complete else translated("{count} and more", count=text)
 
 
 def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job | None) -> None:
@@ -119,7 +121,7 @@ def draw_inspection(layout: bpy.types.UILayout, context: bpy.types.Context, job:
     if job is None:
         return
     if not job.finished:
-        layout.progress(factor=job.fraction, text="Reading the photographs")
+        layout.progress(factor=job.fraction, text=translated("Reading the photographs"))
     elif job.error and not changed_since(Path(job.data["dataset"]), job.ended):
         column = layout.column()
         column.alert = True

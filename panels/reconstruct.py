@@ -7,6 +7,7 @@ import bpy
 
 from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere, is_changed
 from ..irgspp_addon.jobs.job import Job
+from ..irgspp_addon.translations import translated
 from .capture_state import bare_photographs, capture_of
 from .job_card import can_resume, current_job, draw_job
 from .photographs import parsed
@@ -83,7 +84,8 @@ def draw_start(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job 
         say(layout, context, reason, icon="INFO")
         return
     if status:
-        say(layout, context, f"{'Start Over' if stopped else 'Reconstruct Again'} replaces the run in the folder.", icon="INFO")
+        text = "Start Over replaces the run in the folder." if stopped else "Reconstruct Again replaces the run in the folder."
+        say(layout, context, text, icon="INFO")
     draw_sphere(layout, context, stopped)
     draw_estimate(layout, context)
 
@@ -101,11 +103,12 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, stopped:
     if bare_photographs(dataset) is not None:
         say(layout, context, "The cameras are found first.", icon="INFO")
     elif sphere is not None and dataset is not None and cut_settings(context.scene, dataset, capture_of(dataset)):
-        say(layout, context, f"What is inside the sphere {sphere.name} is cut out of the photographs first.", icon="SPHERE")
+        text = translated("What is inside the sphere {name} is cut out of the photographs first.", name=sphere.name)
+        say(layout, context, text, icon="SPHERE")
         if stopped:
             say(layout, context, "Resume goes on with the object that the run began with.", icon="INFO")
     elif sphere is not None and is_changed(sphere):
-        say(layout, context, f"What is inside the sphere {sphere.name} is reconstructed.", icon="SPHERE")
+        say(layout, context, translated("What is inside the sphere {name} is reconstructed.", name=sphere.name), icon="SPHERE")
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -118,7 +121,7 @@ def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> Non
     settings = context.scene.irgspp
     job = parsed(settings.inspected).get("jobs", {}).get(settings.preset)
     if job and settings.device != "cuda":
-        say(layout, context, f"On the CPU: {job['text']}.", icon="TIME")
+        say(layout, context, translated("On the CPU: {estimate}.", estimate=job["text"]), icon="TIME")
 
 
 CLASSES = (IRGSPP_PT_reconstruct, IRGSPP_PT_reconstruct_more)

@@ -10,7 +10,7 @@ from typing import Any
 
 import bpy
 
-from ..irgspp_addon import properties
+from ..irgspp_addon import properties, translations
 from ..irgspp_addon.engine.process import run_engine
 from ..irgspp_addon.importer import confidence_view, materials, moved_project, photograph_comparison
 from ..irgspp_addon.jobs import queue as jobs
@@ -67,7 +67,8 @@ _commands: list[Any] = []  # handles, needed to unregister them
 
 
 def register() -> None:
-    """Register classes, menu entries, handlers and the command `blender --command irgspp`."""
+    """Register translations, classes, menu entries, handlers and the command `blender --command irgspp`."""
+    translations.register()
     for cls in CLASSES:
         if issubclass(cls, bpy.types.Operator) and cls.__doc__:
             cls.bl_description = cls.__doc__.removesuffix(".")  # the tooltip, to which Blender adds a full stop
@@ -121,3 +122,4 @@ def unregister() -> None:
     properties.unregister()
     for cls in reversed(CLASSES):
         bpy.utils.unregister_class(cls)
+    translations.unregister()

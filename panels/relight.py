@@ -12,6 +12,7 @@ from ..irgspp_addon.relight.animation import animation
 from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
+from ..irgspp_addon.translations import translated
 from ..irgspp_addon.world.hdri_library import unreadable_folder
 from ..irgspp_addon.world.light_controls import UP, light_controls
 from .job_card import draw_last
@@ -51,7 +52,8 @@ class IRGSPP_PT_relight(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         draw_preview(layout, context)
         draw_engine(layout, context)
         if missing := left_out(context.scene, context.view_layer, shown_run(context)):
-            say(layout, context, f"{missing}. IRGS++ draws one reconstruction under World and lamps.", icon="INFO")
+            text = translated("{missing}. IRGS++ draws one reconstruction under World and lamps.", missing=missing)
+            say(layout, context, text, icon="INFO")
 
 
 class IRGSPP_PT_relight_files(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
@@ -97,7 +99,7 @@ def draw_animation(layout: bpy.types.UILayout, context: bpy.types.Context) -> No
     button(column, "irgspp.render_animation", "Animation", "RENDER_ANIMATION")
     button(column, "irgspp.render_animation", "One Turn of the Light", "FILE_REFRESH", turn=True)
     if last is not None and last.folder is not None:
-        button(column, "wm.path_open", f"Show Frames in {last.folder.name}", "FILE_FOLDER", filepath=str(last.folder))
+        button(column, "wm.path_open", translated("Show Frames in {name}", name=last.folder.name), "FILE_FOLDER", filepath=str(last.folder))
     if last is not None and last.error:
         column = layout.column()
         column.alert = True
@@ -117,7 +119,8 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     column.template_ID(context.scene, "world", new="world.new")
     layout.template_icon_view(context.scene, "irgspp_hdri", show_labels=True, scale=THUMBNAIL)
     if (folder := unreadable_folder()) is not None:
-        say(layout, context, f"The HDRI folder {folder} is not there; choose it again in the preferences.", icon="ERROR")
+        text = translated("The HDRI folder {folder} is not there; choose it again in the preferences.", folder=folder)
+        say(layout, context, text, icon="ERROR")
     row = layout.row(align=True)
     button(row, "irgspp.open_hdri", "Open HDRI", "FILE_IMAGE")
     light = recovered_light(shown_run(context))

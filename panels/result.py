@@ -12,6 +12,7 @@ from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.shared_properties import TEXTURE_SIZES
+from ..irgspp_addon.translations import translated
 from .job_card import draw_last
 from .run_state import RunState, run_state
 from .shown_run import object_of_run, shown_run
@@ -31,7 +32,8 @@ class IRGSPP_PT_result(StepPanel, SidebarPanel, bpy.types.Panel):
         layout, run = self.layout, shown_run(context)
         state = run_state(run)
         if run is not None and state.status == "" and object_of_run(context.scene, run) is not None:
-            say(layout, context, f"The run folder {run} is not there any more. Open it at its new place.", icon="ERROR")
+            text = translated("The run folder {run} is not there any more. Open it at its new place.", run=run)
+            say(layout, context, text, icon="ERROR")
             button(layout, "irgspp.import_run", "Open a Run", "FILE_FOLDER")
             return
         if run is None or state.status == "":
@@ -101,7 +103,7 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         row = layout.row(align=True)
         row.prop(thing, "name", text="", icon="OUTLINER_OB_MESH")
         row.prop(thing, "hide_viewport", text="", emboss=True)
-        layout.label(text=f"{len(thing.data.polygons):,} triangles, {texture_text(thing)}")
+        layout.label(text=translated("{count} triangles, {textures}", count=f"{len(thing.data.polygons):,}", textures=texture_text(thing)))
         material = thing.active_material
         if material is not None and len(available_sources(material)) > 1:
             column = settings_column(layout)
@@ -152,7 +154,9 @@ def mesh_text(triangles: int, edited: bool) -> str:
     """
     if edited:
         return "The edited mesh is baked as it is."
-    return f"A new mesh of at most {triangles:,} triangles." if triangles else "0 triangles: the mesh stays as it is."
+    if not triangles:
+        return "0 triangles: the mesh stays as it is."
+    return translated("A new mesh of at most {count} triangles.", count=f"{triangles:,}")
 
 
 def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
@@ -179,7 +183,7 @@ def texture_text(thing: bpy.types.Object) -> str:
     """Return the size of the material's textures, such as "textures 1024"."""
     tree = thing.active_material.node_tree if thing.active_material else None
     images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
-    return f"textures {images[0].size[0]}" if images else "no textures"
+    return translated("textures {size}", size=images[0].size[0]) if images else translated("no textures")
 
 
 def draw_files(layout: bpy.types.UILayout, run: Path) -> None:
@@ -205,9 +209,9 @@ def draw_quality(layout: bpy.types.UILayout, context: bpy.types.Context, state: 
     """
     known = state.training.get("test_radiance_psnr"), state.training.get("psnr")
     if known[0] is not None:
-        layout.label(text=f"Test views: {known[0]:.1f} dB PSNR")
+        layout.label(text=translated("Test views: {value} dB PSNR", value=f"{known[0]:.1f}"))
     elif known[1] is not None:
-        layout.label(text=f"Training views: {known[1]:.1f} dB PSNR")
+        layout.label(text=translated("Training views: {value} dB PSNR", value=f"{known[1]:.1f}"))
     for line in state.skipped:
         say(layout, context, line, icon="INFO")
 

@@ -8,6 +8,8 @@ from typing import Any
 
 import bpy
 
+from ..irgspp_addon.translations import translated
+
 LETTER = 6.3  # average width of a letter at scale 1, pixels; on the large side, so that lines are never cut off
 
 
@@ -20,7 +22,7 @@ class SidebarPanel:
 
 
 def say(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon: str = "NONE", width: float = 1.0) -> None:
-    """Draw a text over as many lines as it needs.
+    """Draw a text, in the language of the interface, over as many lines as it needs.
 
     Args:
         layout: to draw into.
@@ -31,7 +33,7 @@ def say(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon:
     """
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for row, line in enumerate(textwrap.wrap(text, max(8, int(width * letters(context, with_icon=icon != "NONE"))))):
+    for row, line in enumerate(textwrap.wrap(translated(text), max(8, int(width * letters(context, with_icon=icon != "NONE"))))):
         column.label(text=line, icon=icon if row == 0 else ("NONE" if icon == "NONE" else "BLANK1"))
 
 

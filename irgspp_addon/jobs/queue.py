@@ -12,6 +12,7 @@ from typing import Any
 from ...core.errors import InputError, IrgsppError
 from ..engine.interrupts import on_interrupt
 from ..engine.process import keep_running, require_engine
+from ..translations import translated
 from ..user_folder import user_folder
 from .folder_check import WRITERS, check_free
 from .job import Job, load_job, new_job
@@ -104,7 +105,7 @@ def cancel(job: Job) -> None:
     if job.stopping:
         kill(job)
     job.request("cancel")
-    job.stopping, job.message = True, "stopping; the progress is being saved"
+    job.stopping, job.message = True, translated("stopping; the progress is being saved")
 
 
 def finish_early(job: Job) -> None:
@@ -112,7 +113,7 @@ def finish_early(job: Job) -> None:
     if not job.can_finish_early:
         raise InputError(job.title, "is not optimising anything", "only a running reconstruction can finish early")
     job.request("finish")
-    job.message = "continuing with the next phase"
+    job.message = translated("continuing with the next phase")
 
 
 def resume(job: Job) -> None:

@@ -17,6 +17,7 @@ import numpy as np
 from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ...core.errors import InputError, IrgsppError
+from ..translations import translated
 from ..windows import enlarged, redraw
 from .final_request import final_request, full_size
 from .session import Session, session_of
@@ -61,7 +62,8 @@ class LightAnimation:
     @property
     def text(self) -> str:
         """Return the progress as text, such as "Frame 3 of 24"."""
-        return f"Frame {min(self.finished + 1, len(self._frames))} of {len(self._frames)}"
+        count = len(self._frames)
+        return translated("Frame {number} of {count}", number=min(self.finished + 1, count), count=count)
 
     def tick(self) -> None:
         """Send the next frame, or save the one that is finished, without waiting; an error ends the animation."""

@@ -10,13 +10,18 @@ import bpy
 
 from ..importer.ownership import KEY, folder_of
 from ..importer.run_frame import run_object
+from ..translations import translated
 from ..world.scene_lamps import is_lamp
 from .ground import shadow_catcher
 from .world_follower import changes
 
 SURFACES = ("MESH", "CURVE", "SURFACE", "META", "FONT", "VOLUME", "POINTCLOUD", "CURVES", "GREASEPENCIL", "GPENCIL")
-KINDS = ("lamp with nodes", "other reconstruction", "collection instance", "object")  # in the order of the sentence
-PLURALS = {"lamp with nodes": "lamps with nodes"}
+KINDS = {  # one and several of each, in the order of the sentence
+    "lamp with nodes": ("1 lamp with nodes", "{count} lamps with nodes"),
+    "other reconstruction": ("1 other reconstruction", "{count} other reconstructions"),
+    "collection instance": ("1 collection instance", "{count} collection instances"),
+    "object": ("1 object", "{count} objects"),
+}
 
 _known: dict[tuple, tuple[int, str]] = {}  # by scene, view layer and run: the count of changes, and the text
 
@@ -55,8 +60,8 @@ def seen_objects(scene: bpy.types.Scene, layer: bpy.types.ViewLayer | None = Non
 
 def _sentence(kinds: list[str]) -> str:
     counts = {kind: kinds.count(kind) for kind in KINDS if kind in kinds}
-    parts = [f"{count} {kind if count == 1 else PLURALS.get(kind, kind + 's')}" for kind, count in counts.items()]
-    return f"Not drawn: {', '.join(parts)}" if parts else ""
+    parts = [translated(KINDS[kind][count > 1], count=count) for kind, count in counts.items()]
+    return translated("Not drawn: {things}", things=", ".join(parts)) if parts else ""
 
 
 def _kinds(scene: bpy.types.Scene, layer: bpy.types.ViewLayer, run: Path | None, final: bool) -> Iterator[str]:

@@ -20,6 +20,7 @@ from ...core.scene.camera import Camera
 from ...core.scene.lamps import Lamp
 from ..engine.process import engine_python, status
 from ..importer.run_frame import Frame, albedo_scale, chosen_run, frame_of, run_object
+from ..translations import translated
 from ..windows import redraw
 from ..world.scene_lamps import scene_lamps
 from ..world.world_light import forget
@@ -66,7 +67,7 @@ class Follower:
         self._session: Session | None = None
         self._requested: tuple | None = None  # key of the latest request
         self._requested_size = (1, 1)
-        self.message, self.share, self.ended, self.done, self.failed = "Starting the engine", 0.0, False, False, False
+        self.message, self.share, self.ended, self.done, self.failed = translated("Starting the engine"), 0.0, False, False, False
         self._ended_at = 0
         self._engine = _engine_state()
 
@@ -131,7 +132,7 @@ class Follower:
         size = self._size(scene)
         request = self._request(scene, thing, size)
         if request is None:
-            self.message = "Rendering the World"
+            self.message = translated("Rendering the World")
         elif request.key() != self._requested:
             self._session.send(self.channel, request)
             self._requested, self._requested_size, self.done, self.share = request.key(), size, False, 0.0
@@ -170,10 +171,10 @@ class Follower:
         answer = self._session.poll(self.channel)
         if answer is None:
             if not self._session.ready:
-                self.message = "Starting the engine"
+                self.message = translated("Starting the engine")
             return
         self.share, self.done = answer.fraction, answer.done
-        self.message = "Done" if answer.done else f"Refining, {answer.fraction:.0%}"
+        self.message = translated("Done") if answer.done else translated("Refining, {percent}", percent=f"{answer.fraction:.0%}")
         if answer.image is not None:
             self._show(answer.image, self._requested_size, answer.done)
 

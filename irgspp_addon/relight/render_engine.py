@@ -12,6 +12,7 @@ import numpy as np
 from ...core.errors import Cancelled, IrgsppError
 from ...core.scene.camera import Camera
 from ..importer.run_frame import Frame, camera_of
+from ..translations import translated
 from ..windows import enlarged, redraw
 from .final_request import final_request
 from .left_out import left_out
@@ -61,13 +62,14 @@ class IRGSPP_RenderEngine(bpy.types.RenderEngine):
             finished = True
             scene = depsgraph.scene.original
             if missing := left_out(scene, scene.view_layers[depsgraph.view_layer.name], run, final=True):
-                self.report({"WARNING"}, f"{missing}. IRGS++ draws one reconstruction under World and lamps")
+                text = translated("{missing}. IRGS++ draws one reconstruction under World and lamps.", missing=missing)
+                self.report({"WARNING"}, text)
         finally:
             self.end_result(result, cancel=not finished)
 
     def _show(self, result: bpy.types.RenderResult, size: tuple[int, int], answer: Answer) -> None:
         self.update_progress(answer.fraction)
-        self.update_stats("", f"Relighting {answer.fraction:.0%}")
+        self.update_stats("", translated("Relighting {percent}", percent=f"{answer.fraction:.0%}"))
         if answer.image is not None and not answer.done:
             _fill(result, size, answer.image)
             self.update_result(result)

@@ -1,0 +1,6 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""German texts: English text -> translation."""
+
+from . import operators, panels, properties
+
+TEXTS = {**panels.TEXTS, **operators.TEXTS, **properties.TEXTS}
