@@ -175,7 +175,7 @@ TEXTS: dict[str, str] = {
     # Relight
     "Relight": "Neu beleuchten",
     "Files": "Dateien",
-    "Albedo Scale": "Faktor der Albedo",
+    "Albedo Scale": "Albedo-Faktor",
     "{missing}. IRGS++ draws one reconstruction under World and lamps.": (
         "{missing}. IRGS++ zeichnet eine Rekonstruktion unter Welt und Lampen."
     ),
@@ -211,7 +211,7 @@ TEXTS: dict[str, str] = {
     "Refining, {percent}": "Wird verfeinert, {percent}",
     "Rendering the World": "Die Welt wird gerendert",
     "F12 and Rendered shading use IRGS++.": "F12 und gerenderte Ansichten verwenden IRGS++.",
-    "Use for F12 and Rendered View": "Für F12 und gerenderte Ansicht verwenden",
+    "Use for F12 and Rendered View": "Für F12 und Ansicht verwenden",
     "Sampling": "Abtastung",
     "Film": "Film",
     "Transparent": "Durchsichtig",

@@ -158,7 +158,7 @@ TEXTS: dict[str, str] = {
     "The material reads textures through the UV map": "Das Material liest Texturen über die UV-Karte",
     "Attributes": "Attribute",
     "The material reads attributes at the mesh's vertices": "Das Material liest Attribute an den Ecken des Meshs",
-    "Show Confidence": "Verlässlichkeit zeigen",
+    "Show Confidence": "Verlässlichkeit",
     (
         "Glow in the confidence of albedo (red), roughness (green) and metallic (blue) instead of reflecting light: white is"
         " well known, dark is not. Seen in Material Preview and in rendered views"
