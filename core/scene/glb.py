@@ -21,7 +21,7 @@ from .textures import occlusion_roughness_metallic
 def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: str = "object") -> None:
     """Write the mesh atomically, with its textures if it has any, else with the albedo of its vertices.
 
-    `_CONFIDENCE`, and `_MATERIAL_CONFIDENCE` of albedo, roughness and metallic, are attributes where they are known.
+    `_CONFIDENCE` has a column for the confidence of the surface, of albedo, of roughness and of metallic, those that are known.
 
     Args:
         mesh: the mesh.
@@ -34,10 +34,10 @@ def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: s
         body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures))
     else:
         _colour_vertices(body, mesh)
-    if mesh.confidence is not None:  # glTF's own attributes have no underscore
-        body.vertex_attributes["_CONFIDENCE"] = mesh.confidence.astype(np.float32)
-    if mesh.material_confidence is not None:
-        body.vertex_attributes["_MATERIAL_CONFIDENCE"] = mesh.material_confidence.astype(np.float32)
+    # A single attribute: Blender's importers before March 2026 mix up several and then fail at random (glTF-Blender-IO issue 2658).
+    known = [values for values in (mesh.confidence, mesh.material_confidence) if values is not None]
+    if known:  # glTF's own attributes have no underscore
+        body.vertex_attributes["_CONFIDENCE"] = np.column_stack(known).astype(np.float32)
     if tangents is not None:
         body.vertex_attributes["_TANGENT"] = np.concatenate([_y_up(tangents), tangents[:, 3:]], -1).astype(np.float32)
     scene = trimesh.Scene()
