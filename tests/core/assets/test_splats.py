@@ -18,6 +18,8 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.spherical_harmonics import sh_basis
 from plyfile import PlyData
 from relight_run import write_relightable
+from scipy.spatial.transform import Rotation
+from splat_reader import C0, read_splats
 
 COLUMNS = ["x", "y", "z", "nx", "ny", "nz", "f_dc_0", "f_dc_1", "f_dc_2", *(f"f_rest_{i}" for i in range(45)), "opacity"]
 COLUMNS += ["scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]  # of 3DGS, in its order
@@ -74,6 +76,30 @@ def test_a_viewer_shows_our_picture(run, tmp_path, camera_ring):
     splats, reconstruction = read(tmp_path / "o.ply"), Reconstruction.load(run)
     error = [(seen(reconstruction, camera) - seen_by_viewer(splats, camera)).square().mean().item() for camera in camera_ring(6)]
     assert -10 * np.log10(np.mean(error)) > 34  # SH of degree 3 hold no sharper reflections
+
+
+def test_an_independent_reader_finds_our_surfels(run, tmp_path):
+    """Places, sizes, rotations, opacities and colours, by numbers, of surfels whose radiance is the same in all directions."""
+    reconstruction = Reconstruction.load(run)
+    g = reconstruction.gaussians
+    g.sh[:] = 0
+    g.sh[0] = torch.empty(3, g.count).uniform_(-1.5, 1.5, generator=torch.Generator().manual_seed(2))
+    g.log_scale[:] += 0.5 * torch.randn(2, g.count, generator=torch.Generator().manual_seed(3))
+    g.quaternion[:] = torch.randn(4, g.count, generator=torch.Generator().manual_seed(4))
+    g.opacity[:] = 2 * torch.randn(g.count, generator=torch.Generator().manual_seed(5))
+    replace(reconstruction, has_split_sum=False).save(run)
+    export(run, tmp_path / "o.ply")
+    splats, w_last = read_splats(tmp_path / "o.ply"), g.quaternion.T.double().numpy()[:, [1, 2, 3, 0]]
+    np.testing.assert_allclose(splats.place, g.position.T.numpy(), atol=1e-6)
+    np.testing.assert_allclose(splats.opacity, 1 / (1 + np.exp(-g.opacity.double().numpy())), atol=1e-6)
+    sizes = np.exp(np.c_[g.log_scale.T.double().numpy(), np.full(g.count, -np.inf)])  # ours have no thickness
+    axes = Rotation.from_quat(w_last).as_matrix() * sizes[:, None]
+    largest = (sizes**2).max()
+    np.testing.assert_allclose(splats.covariance / largest, axes @ axes.transpose(0, 2, 1) / largest, atol=2e-4)
+    linear = 0.5 + C0 * g.sh[0].T.double().numpy()
+    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.abs(linear) ** (1 / 2.4) - 0.055)
+    np.testing.assert_allclose(splats.colour, encoded, atol=1e-4)
+    assert np.abs(splats.rest).max() < 1e-3
 
 
 def test_z_up_becomes_minus_y_up(run, tmp_path):
