@@ -5,10 +5,13 @@ import bpy
 import pytest
 from irgspp.core.assets.blend_file import write_blend
 from irgspp.core.assets.export import export
+from irgspp.core.assets.options import AssetOptions
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.progress.protocol import Silent
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of
+from irgspp.irgspp_addon.importer.run_frame import run_object
+from irgspp.irgspp_addon.importer.run_root import run_of
 
 
 @pytest.fixture(scope="module")
@@ -50,6 +53,35 @@ def test_export_by_suffix(run_folder, tmp_path):
     bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "scene.blend"))
     assert [source_of(o.active_material) for o in bpy.data.objects if o.type == "MESH"] == ["attributes"]
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "scene.blend"]
+
+
+@pytest.mark.parametrize("textures", ["packed", "beside"])
+@pytest.mark.parametrize("link", [False, True], ids=["appended", "overridden"])
+def test_the_collection_is_complete_in_a_file_of_another_folder(run_folder, tmp_path, textures, link):
+    library, user = tmp_path / "library" / "ball.blend", tmp_path / "shots" / "one" / "shot.blend"
+    library.parent.mkdir()
+    user.parent.mkdir(parents=True)
+    export(run_folder, library, options=AssetOptions(textures=textures))
+    bpy.ops.wm.read_homefile(use_empty=True)
+    bpy.ops.wm.save_as_mainfile(filepath=str(user))
+    with bpy.data.libraries.load(str(library), link=link, relative=True) as (source, wanted):
+        wanted.collections = [name for name in source.collections if not name.endswith("cameras")]
+        wanted.worlds = source.worlds
+    (collection,), (world,) = wanted.collections, wanted.worlds
+    scene, world.use_fake_user = bpy.context.scene, True
+    if link:
+        collection.override_hierarchy_create(scene, bpy.context.view_layer, do_fully_editable=True)
+    else:
+        scene.collection.children.link(collection)
+    scene.world = world
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.open_mainfile(filepath=str(user))
+    (mesh,) = [thing for thing in bpy.context.scene.objects if thing.type == "MESH" and (thing.override_library is not None) == link]
+    images = [node.image for node in mesh.active_material.node_tree.nodes if node.bl_idname == "ShaderNodeTexImage"]
+    light = next(node.image for node in bpy.context.scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeTexEnvironment")
+    assert [tuple(image.size) for image in images] == [(128, 128)] * 4 and light.size[0] > 0
+    assert all((image.packed_file is not None) == (textures == "packed") for image in images)
+    assert run_of(mesh) == run_folder and run_object(bpy.context.scene, run_folder) is not None
 
 
 @pytest.mark.parametrize("name", ["a.stl", "a", "missing/a.blend", "a.ply"])
