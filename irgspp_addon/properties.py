@@ -126,6 +126,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     )
     texture_size: EnumProperty(**shared.TEXTURE_SIZE)
     triangles: IntProperty(**shared.TRIANGLES, max=100_000_000, soft_max=200_000)
+    bake_height: BoolProperty(**shared.HEIGHT)
     edited_mesh: PointerProperty(
         name="Edited Mesh",
         description="Mesh that you edited or modelled, to bake the textures onto. Empty: the run's own mesh",

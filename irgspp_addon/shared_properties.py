@@ -93,6 +93,15 @@ TRIANGLES: Definition = {
     "default": 0,
     "min": 0,
 }
+HEIGHT: Definition = {
+    "name": "Height Texture",
+    "description": "Also bake how far the surface as it was fused lies above a mesh of fewer triangles, for displacement",
+    "default": False,
+}
+DISPLACE: Definition = {
+    "name": "Displacement",
+    "description": "Displace the mesh by its height texture in renders. Subdivide it first: a Subdivision Surface modifier set to Simple",
+}
 LODS: Definition = {
     "name": "Levels of Detail",
     "description": "Add versions with a half and a quarter of the triangles, which share the textures",

@@ -12,7 +12,7 @@ import bpy
 
 from ..irgspp_addon import properties, translations
 from ..irgspp_addon.engine.process import run_engine
-from ..irgspp_addon.importer import confidence_view, materials, moved_project, photograph_comparison
+from ..irgspp_addon.importer import confidence_view, displacement, materials, moved_project, photograph_comparison
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import timer as job_timer
 from ..irgspp_addon.preferences_page import IRGSPP_Preferences
@@ -77,6 +77,7 @@ def register() -> None:
     hdri_library.register()
     materials.register()
     confidence_view.register()
+    displacement.register()
     photograph_comparison.register()
     moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
@@ -116,6 +117,7 @@ def unregister() -> None:
     jobs.CHANGED.remove(properties.show_jobs)
     moved_project.unregister()
     photograph_comparison.unregister()
+    displacement.unregister()
     confidence_view.unregister()
     materials.unregister()
     hdri_library.unregister()

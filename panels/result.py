@@ -9,6 +9,7 @@ import bpy
 
 from ..irgspp_addon.importer.arrangement import camera_label, cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.confidence_view import has_confidence
+from ..irgspp_addon.importer.displacement import has_displacement
 from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.shared_properties import TEXTURE_SIZES
@@ -67,6 +68,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         row.enabled = edited is None  # an edited mesh is baked as it is
         row.prop(settings, "triangles")
         column.prop(settings, "edited_mesh")
+        column.prop(settings, "bake_height")
         say(column, context, mesh_text(settings.triangles, edited is not None), icon="INFO")
         button(
             self.layout,
@@ -77,6 +79,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
             size=int(settings.texture_size),
             triangles=0 if edited else settings.triangles,
             mesh=edited.name if edited else "",
+            height=settings.bake_height,
         )
         draw_last(self.layout, context, "bake", shown_run(context))
 
@@ -110,6 +113,8 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
             column.row().prop(material, "irgspp_source", expand=True)
         if material is not None and has_confidence(material):
             layout.prop(material, "irgspp_show_confidence")
+        if material is not None and has_displacement(material):
+            layout.prop(material, "irgspp_displace")
     button(
         layout,
         "irgspp.import_run",

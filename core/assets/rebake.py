@@ -8,47 +8,46 @@ import os
 import shutil
 from pathlib import Path
 
-import numpy as np
-
 from ..capture.source import posed_dataset
 from ..detail.albedo_detail import detailed_by_dataset
 from ..detail.report import DetailReport
 from ..errors import Cancelled, InputError, IrgsppError
 from ..io.file_lock import FileLock
 from ..machine.cpu_memory import check_texture_memory
-from ..machine.devices import best
 from ..machine.disk_space import check_texture_disk_space
 from ..progress.protocol import Progress
-from ..rendering.gbuffer_cache import GBufferCache
 from ..run_folder import RunFolder, read_run
 from ..scene.camera_files import load_run_cameras
-from ..scene.edited_mesh import EditedMesh, load_edited_mesh
-from ..scene.gbuffer import SurfaceSamples
 from ..scene.mesh import Mesh
-from ..scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from ..scene.mesh_ply import save_mesh_ply
 from ..scene.reconstruction import Reconstruction
-from ..scene.surface import Surface
-from ..scene.textures import save_textures
+from ..scene.textures import CHANNELS, save_textures
 from ..settings import overrides
 from ..settings.schema import Settings, SurfaceSettings
-from ..surface.extraction import extract_geometry
-from ..surface.meshing import Triangles, vertex_normals
-from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
-from ..surface.voxel_grid import make_grid
+from ..surface.height import height_line
 from .blend_file import write_blend
 from .fitted_textures import texture_line, texture_state
 from .kept_bake import baked_size, drop_kept_bake, is_made_from_bake, keep_bake, mesh_at_size
 from .mesh_files import save_asset_glb
+from .rebaked_mesh import BakeTarget, rebaked_mesh
 
 PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
 
 
-def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: int | None = None, edited: Path | None = None) -> None:
+def bake(
+    run: Path,
+    progress: Progress,
+    *,
+    size: int | None = None,
+    triangles: int | None = None,
+    edited: Path | None = None,
+    height: bool = False,
+) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
-    Without `triangles` and `edited` the mesh stays as it is. A size below that of the run's bake is then made from this bake, which the run
-    keeps, and the size of the bake itself is restored from there; any other size is baked. If the work fails or is stopped, the run stays
-    as it was.
+    Without `triangles` and `edited` the mesh stays as it is. Without `height` too, a size below that of the run's bake is then made from this
+    bake, which the run keeps, and the size of the bake itself is restored from there; any other size is baked. If the work fails or is
+    stopped, the run stays as it was.
 
     Args:
         run: folder of the finished run.
@@ -56,6 +55,7 @@ def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: i
         size: texels along a side; None: bake at the size of the last bake.
         triangles: extract a new mesh from the Gaussians with at most so many.
         edited: PLY in the run's world frame that replaces the mesh, with its own UVs where it has any.
+        height: also bake a texture of the height of the surface as it is fused above the mesh, where the mesh is reduced.
 
     Raises:
         InputError: when an argument is bad, the run is unfinished or in use, or the textures do not fit into memory or on the disk.
@@ -70,7 +70,8 @@ def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: i
     surface = dataclasses.replace(settings.surface, texture=size or baked_size(run) or settings.surface.texels)
     surface = surface if triangles is None else dataclasses.replace(surface, triangles=triangles)
     settings = overrides.check(dataclasses.replace(settings, surface=surface))
-    kept = size is not None and triangles is None and edited is None and is_made_from_bake(run, size)
+    target = BakeTarget(triangles, edited, height)
+    kept = size is not None and target == BakeTarget() and is_made_from_bake(run, size)
     if not kept:
         _check_fits(run, surface)
     folder = RunFolder(run, state, _lock(run))
@@ -78,24 +79,28 @@ def bake(run: Path, progress: Progress, *, size: int | None = None, triangles: i
         if kept:
             _resize(folder, surface.texels, progress)
         else:
-            _bake(folder, settings, triangles, edited, progress)
+            _bake(folder, settings, target, progress)
         _renew_blend(run, settings.export.material, progress)
     finally:
         shutil.rmtree(run / PARTIAL, ignore_errors=True)
         folder.close()
 
 
-def _bake(folder: RunFolder, settings: Settings, triangles: int | None, edited: Path | None, progress: Progress) -> None:
+def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: Progress) -> None:
     """Bake, and replace the run's mesh and textures."""
     run, size = folder.path, settings.surface.texels
-    mesh, reconstruction = _mesh(run, settings.surface, triangles, edited, progress)
-    mesh, report = _detailed(mesh, reconstruction, run, settings, str(folder.state["dataset"]), progress)
+    made, edited = rebaked_mesh(run, settings.surface, target, progress), target.edited
+    mesh, report = _detailed(made.mesh, made.reconstruction, run, settings, str(folder.state["dataset"]), progress)
     _replace(run, mesh)
     drop_kept_bake(run)
     folder.state["baked"] = {"texture": size, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
     folder.state["albedo_detail"] = report.state()
     folder.state["textures"] = texture_state(mesh, size, "as set for the last bake")
+    folder.state["height"] = None if made.heights is None else made.heights.state()
     folder.write()
+    if target.height:
+        progress.message(height_line(folder.state["height"]))
+        folder.log(height_line(folder.state["height"]))
     progress.message(texture_line(folder.state["textures"]))
     folder.log(f"baked again: {size} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
 
@@ -150,49 +155,6 @@ def _detailed(
     return detailed_by_dataset(mesh, reconstruction, posed, cameras, settings, progress)
 
 
-def _mesh(
-    run: Path, settings: SurfaceSettings, triangles: int | None, edited: Path | None, progress: Progress
-) -> tuple[Mesh, Reconstruction]:
-    """Return the old, new or edited mesh with its textures baked again, and the run's reconstruction."""
-    given = load_edited_mesh(edited) if edited else None
-    reconstruction = Reconstruction.load(run).to(best())
-    if given is not None and edited is not None:
-        _check_place(given, reconstruction, edited)
-    cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
-    views, samples = GBufferCache(reconstruction, cameras), reconstruction.surface_samples()
-    if triangles is not None:
-        # The masks themselves may be gone; the Gaussians were fitted to them.
-        masks = [view.alpha for view in views] if reconstruction.background is None else None
-        surface = extract_geometry(views, samples, reconstruction.bound, settings, progress, masks)
-        return textured_mesh(surface, views, samples, settings, progress), reconstruction
-    voxel = make_grid(views, samples, reconstruction.bound, settings).voxel
-    if given is not None:
-        return _edited_mesh(given, views, samples, voxel, settings, progress), reconstruction
-    mesh = load_mesh_ply(run / "mesh.ply")
-    progress.phase("bake", len(views))
-    textures = baked_textures(mesh, views, samples, voxel, settings, stoppable(progress))
-    return dataclasses.replace(mesh, textures=textures), reconstruction
-
-
-def _edited_mesh(
-    given: EditedMesh, views: GBufferCache, samples: SurfaceSamples, voxel: float, settings: SurfaceSettings, progress: Progress
-) -> Mesh:
-    """Return an edited mesh with the run's materials; one without UVs is unwrapped."""
-    normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
-    surface = Surface(given.vertices, normals, given.faces, voxel)
-    if given.uvs is None:
-        return textured_mesh(surface, views, samples, settings, progress)
-    return mesh_with_materials(surface, given.uvs, views, samples, settings, progress)
-
-
-def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:
-    """Refuse a mesh in another frame, whose textures would show the wrong parts of the object."""
-    bound = reconstruction.bound
-    distance = np.linalg.norm(mesh.vertices - np.asarray(bound.centre), axis=-1)
-    if np.median(distance) > 1.5 * bound.radius or distance.max() < 0.01 * bound.radius:
-        raise InputError(path, "doesn't lie where the run's object is", "export it in the frame of the run's mesh.ply (+Z up, unscaled)")
-
-
 def _replace(run: Path, mesh: Mesh) -> None:
     """Write all files into the folder PARTIAL, then replace the old ones by them."""
     partial = run / PARTIAL
@@ -202,8 +164,11 @@ def _replace(run: Path, mesh: Mesh) -> None:
         save_textures(mesh.textures, partial)
         save_asset_glb(mesh, partial / "asset.glb")
         (run / "textures").mkdir(exist_ok=True)
-        for name in mesh.textures:
-            os.replace(partial / f"{name}.png", run / "textures" / f"{name}.png")
+        for name in CHANNELS:
+            if name in mesh.textures:
+                os.replace(partial / f"{name}.png", run / "textures" / f"{name}.png")
+            else:  # of an earlier bake, for another mesh
+                (run / "textures" / f"{name}.png").unlink(missing_ok=True)
         for name in ("mesh.ply", "asset.glb"):
             os.replace(partial / name, run / name)
     except OSError as error:

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import numpy as np
 
 from ..errors import InputError
+from ..run_folder import read_run
 from ..scene.textures import CHANNELS, OPTIONAL, load_textures, occlusion_roughness_metallic, save_textures
 
 NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
@@ -16,13 +18,15 @@ NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
 def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> None:
     """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic), confidences as PNG files.
 
+    A run with heights also gives height.png, and height.json with their scale and midlevel.
+
     Args:
         run: folder of the finished run.
         folder: to write to.
         normal_map: "opengl" or "directx", whose green channel is the inverse.
 
     Raises:
-        InputError: if the run lacks a texture.
+        InputError: if the run lacks a texture, or the scale of its heights.
     """
     textures = load_textures(run / "textures")
     missing = [name for name in CHANNELS if name not in textures and name not in OPTIONAL]
@@ -32,6 +36,11 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> Non
     if normal_map == "directx":
         textures["normal"] = flipped_green(textures["normal"])
     save_textures(textures, folder)
+    if "height" in textures:
+        record = read_run(run).get("height")
+        if record is None:
+            raise InputError(run / "run.json", "lacks the scale of textures/height.png", "bake the run again")
+        (folder / "height.json").write_text(json.dumps(record, indent=2) + "\n", encoding="utf-8")
 
 
 def flipped_green(normal: np.ndarray) -> np.ndarray:

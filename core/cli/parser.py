@@ -154,6 +154,8 @@ def _add_bake(subparsers: Subparsers) -> None:
     one.add_argument(
         "--mesh", metavar="FILE", type=Path, help="PLY in the coordinates of the run's mesh.ply that replaces the mesh; its UVs are kept"
     )
+    finer = "also bake the height of the surface as it was fused above a mesh of fewer triangles: textures/height.png, 16 bits"
+    one.add_argument("--height", action="store_true", help=finer)
 
 
 def _add_batch(subparsers: Subparsers) -> None:

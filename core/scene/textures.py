@@ -11,15 +11,16 @@ from PIL import Image
 from ..errors import InputError
 from ..io.atomic import atomic_file
 
-CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1, "material_confidence": 3}
-OPTIONAL = ("confidence", "material_confidence")  # that older runs lack, or that were not measured
+CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1, "material_confidence": 3, "height": 1}
+OPTIONAL = ("confidence", "material_confidence", "height")  # that older runs lack, or that were not measured
+SIXTEEN_BITS = ("height",)  # whose values are uint16
 
 
 def save_textures(textures: dict[str, np.ndarray], folder: Path) -> None:
     """Write each texture as folder/<name>.png, each atomically.
 
     Args:
-        textures: (T, T, 3) or (T, T) uint8 by name, as in `Mesh.textures`.
+        textures: (T, T, 3) or (T, T) by name, as in `Mesh.textures`.
         folder: the folder, which is created if it does not exist.
     """
     folder.mkdir(parents=True, exist_ok=True)
@@ -53,9 +54,18 @@ def load_texture(folder: Path, name: str) -> np.ndarray | None:
         return None
     try:
         with Image.open(path) as image:
+            if name in SIXTEEN_BITS:
+                return _sixteen_bits(image)
             return np.asarray(image.convert("RGB" if channels == 3 else "L"))
     except (OSError, ValueError, SyntaxError) as error:
         raise InputError(path, f"not a readable image ({error})") from error
+
+
+def _sixteen_bits(image: Image.Image) -> np.ndarray:
+    """Return an image of one channel as (T, T) uint16; PIL's conversions would cut it to 8 bits."""
+    if not image.mode.startswith("I"):
+        raise ValueError(f"its values are {image.mode}, not 16 bits")
+    return np.asarray(image).astype(np.uint16)
 
 
 def occlusion_roughness_metallic(textures: dict[str, np.ndarray]) -> np.ndarray:

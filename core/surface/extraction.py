@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..errors import Cancelled, IrgsppError
 from ..progress.protocol import Progress
+from ..scene.camera import Camera
 from ..scene.dataset import Bound
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.surface import Surface
@@ -44,18 +46,53 @@ def extract_geometry(
         IrgsppError: no surface was found.
         Cancelled: the user stopped the work.
     """
+    return extract_levels(views, samples, bound, settings, progress, masks, (settings.triangles,))[0]
+
+
+def extract_levels(
+    views: Sequence[GBuffer],
+    samples: SurfaceSamples,
+    bound: Bound,
+    settings: SurfaceSettings,
+    progress: Progress,
+    masks: Sequence[np.ndarray] | None,
+    budgets: Sequence[int | None],
+) -> list[Surface]:
+    """Extract the object's surface at several triangle budgets from one fusion.
+
+    Args:
+        views: as in `extract_geometry`, like the following.
+        samples: Gaussians.
+        bound: sphere around the object.
+        settings: resolution and smoothing.
+        progress: receives steps and messages, and may cancel.
+        masks: opacity of each view's image, or None.
+        budgets: largest number of triangles of each surface; None for the surface as it is fused, which is not decimated.
+
+    Raises:
+        IrgsppError: no surface was found.
+        Cancelled: the user stopped the work.
+    """
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings)
-    surface = _surface(fuse(views, grid, progress), grid, settings)
+    fused = _fused_surface(fuse(views, grid, progress), grid, settings)
+    surfaces = []
+    for budget in budgets:
+        surface = _filling(_reduced(fused, budget, settings), [view.camera for view in views], masks, progress)
+        progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
+        if progress.cancelled:
+            raise Cancelled("stopped during surface extraction")
+        surfaces.append(surface)
+    return surfaces
+
+
+def _filling(surface: Surface, cameras: Sequence[Camera], masks: Sequence[np.ndarray] | None, progress: Progress) -> Surface:
+    """Return the surface moved outward at its outlines to fill the masks, where there are some, without folded faces."""
     if masks is not None:
-        offset = silhouette_offset(surface.vertices, surface.faces, [view.camera for view in views], masks)
+        offset = silhouette_offset(surface.vertices, surface.faces, cameras, masks)
         surface = Surface(surface.vertices + offset[:, None] * surface.normals, surface.normals, surface.faces, surface.voxel)
         progress.message(f"surface moved outward by {offset.mean():.2g} scene units on average to fill the masks")
-    surface = _unfold(surface)
-    progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
-    if progress.cancelled:
-        raise Cancelled("stopped during surface extraction")
-    return surface
+    return _unfold(surface)
 
 
 def coarser(surface: Surface, triangles: int) -> Surface:
@@ -74,19 +111,40 @@ def coarser(surface: Surface, triangles: int) -> Surface:
     return Surface(mesh.vertices, meshing.carried_normals(fine, surface.normals, mesh), mesh.faces, surface.voxel)
 
 
-def _surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> Surface:
-    """Mesh distances (B, BLOCK^3) within the triangle budget, with unit vertex normals that a finer mesh supplies."""
+@dataclass(frozen=True, eq=False)
+class _Fused:
+    """Surface as it is fused and smoothed, before decimation.
+
+    Attributes:
+        mesh: its triangles.
+        normals: (V, 3) unit vertex normals.
+        voxel: side of a cell of the grid, world units.
+        longest: length of the longest open border that counts as a hole, world units.
+    """
+
+    mesh: meshing.Triangles
+    normals: np.ndarray
+    voxel: float
+    longest: float
+
+
+def _fused_surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> _Fused:
+    """Mesh distances (B, BLOCK^3), fill holes, and smooth."""
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
     longest = MAX_HOLE_DIAMETERS * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
-    fine = repair.fill_holes(fine, longest)
-    fine = meshing.smoothed(fine, settings.smoothing)
-    normals = meshing.vertex_normals(fine, settings.normal_averages)
-    mesh = repair.make_manifold(meshing.cleaned(meshing.decimated(fine, int(DECIMATED_FRACTION * settings.triangles))))
-    mesh = repair.fill_holes(repair.remove_folds(mesh), longest)  # where three sheets meet, a division leaves a hole
+    fine = meshing.smoothed(repair.fill_holes(fine, longest), settings.smoothing)
+    return _Fused(fine, meshing.vertex_normals(fine, settings.normal_averages), grid.voxel, longest)
+
+
+def _reduced(fused: _Fused, triangles: int | None, settings: SurfaceSettings) -> Surface:
+    """Return the surface decimated to a budget, None for all of it, with unit vertex normals that the fused one supplies."""
+    mesh = fused.mesh if triangles is None else meshing.decimated(fused.mesh, int(DECIMATED_FRACTION * triangles))
+    mesh = repair.make_manifold(meshing.cleaned(mesh))
+    mesh = repair.fill_holes(repair.remove_folds(mesh), fused.longest)  # where three sheets meet, a division leaves a hole
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
-    return Surface(mesh.vertices, meshing.carried_normals(fine, normals, mesh), mesh.faces, grid.voxel)
+    return Surface(mesh.vertices, meshing.carried_normals(fused.mesh, fused.normals, mesh), mesh.faces, fused.voxel)
 
 
 def _unfold(surface: Surface) -> Surface:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..io.eight_bits import eight_bits, srgb_eight_bits
+from ..io.eight_bits import eight_bits, sixteen_bits, srgb_eight_bits
 from ..io.srgb import decode_srgb
 from ..scene.mesh import Mesh
 from .mesh_texels import CoveredTexels, texel_owners
@@ -19,11 +19,11 @@ def reduced_textures(mesh: Mesh, size: int) -> dict[str, np.ndarray]:
     Albedo is averaged in linear light, normals as vectors that are then of unit length again, all others as they are.
 
     Args:
-        mesh: with UVs and textures (S, S) or (S, S, 3) uint8 of one size S.
+        mesh: with UVs and textures (S, S) or (S, S, 3) uint8 or uint16 of one size S.
         size: texels along a side, 1 to S.
 
     Returns:
-        Textures by name, (size, size) or (size, size, 3) uint8; texels outside all triangles take the nearest value.
+        Textures by name, (size, size) or (size, size, 3) of the same type; texels outside all triangles take the nearest value.
     """
     side = len(mesh.textures["albedo"])
     covered = (texel_owners(mesh.uvs, mesh.faces, side)[1] >= 0).astype(np.float32)
@@ -33,9 +33,10 @@ def reduced_textures(mesh: Mesh, size: int) -> dict[str, np.ndarray]:
 
 
 def _reduced(name: str, texture: np.ndarray, covered: np.ndarray, share: np.ndarray) -> np.ndarray:
-    """Return the averages (P, ...) uint8 of a texture over the covered part of each texel whose covered share is not 0."""
+    """Return the averages (P, ...) of a texture over the covered part of each texel whose covered share is not 0."""
     size, known = len(share), share > 0
-    levels = np.arange(256, dtype=np.float32) / 255
+    highest = np.iinfo(texture.dtype).max
+    levels = np.arange(highest + 1, dtype=np.float32) / highest
     if name == "albedo":
         levels = decode_srgb(levels).astype(np.float32)
     channels = texture[..., None] if texture.ndim == 2 else texture
@@ -44,7 +45,8 @@ def _reduced(name: str, texture: np.ndarray, covered: np.ndarray, share: np.ndar
     means = np.stack(sums, -1) / share[known][:, None]
     if name == "normal":
         return eight_bits(0.5 + 0.5 * unit(2 * means - 1))
-    encoded = srgb_eight_bits(means) if name == "albedo" else eight_bits(means)
+    encode = srgb_eight_bits if name == "albedo" else eight_bits if texture.dtype == np.uint8 else sixteen_bits
+    encoded = encode(means)
     return encoded[:, 0] if texture.ndim == 2 else encoded
 
 

@@ -11,6 +11,7 @@ from bpy.props import EnumProperty
 from ...core.errors import InputError
 from ..shared_properties import SOURCE
 from ..world.shader_nodes import node_tree
+from .displacement import Heights, add_displacement
 
 TEXTURES = ("albedo", "roughness", "metallic", "normal")
 SOURCES = ("textures", "attributes")
@@ -35,13 +36,16 @@ FRAMES = {
 }
 
 
-def build_material(material: bpy.types.Material, images: Mapping[str, bpy.types.Image], source: str) -> None:
+def build_material(
+    material: bpy.types.Material, images: Mapping[str, bpy.types.Image], source: str, heights: Heights | None = None
+) -> None:
     """Rebuild the nodes of a material.
 
     Args:
         material: material to fill.
         images: image datablocks by the names in TEXTURES; empty if the run has only attributes.
         source: "textures" or "attributes".
+        heights: of the surface above the mesh; None without.
     """
     nodes, links = node_tree(material)
     principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
@@ -52,6 +56,8 @@ def build_material(material: bpy.types.Material, images: Mapping[str, bpy.types.
     if images:
         _add_textures(nodes, links, images)
     _add_attributes(nodes)
+    if heights is not None:
+        add_displacement(material, heights)
     use_source(material, source)
 
 

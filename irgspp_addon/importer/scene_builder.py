@@ -17,6 +17,7 @@ from ...core.scene.gbuffer import CONFIDENCE
 from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .confidence_view import ATTRIBUTE, add_confidence_nodes
+from .displacement import Heights
 from .materials import SOURCES, TEXTURES, build_material
 from .ownership import Owner, put
 from .placement import Placement
@@ -79,7 +80,7 @@ def import_run(
     mesh = owner.object("mesh", name, owner.replace(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
     put(mesh, collection)
     _add_albedo_scale(mesh)
-    material = _material(owner, name, run / "textures", source, pack)
+    material = _material(owner, name, run, source, pack)
     if ATTRIBUTE in mesh.data.attributes:
         add_confidence_nodes(material)
     mesh.data.materials.append(material)
@@ -203,16 +204,33 @@ def _columns(vertex: np.ndarray, *names: str) -> np.ndarray:
     return np.stack([vertex[name] for name in names], -1).astype(np.float32)
 
 
-def _material(owner: Owner, name: str, textures: Path, source: str, pack: bool) -> bpy.types.Material:
+def _material(owner: Owner, name: str, run: Path, source: str, pack: bool) -> bpy.types.Material:
     """Create the material, which can read textures (if there are any) and attributes."""
-    images = {}
+    images, textures = {}, run / "textures"
     if all((textures / f"{texture}.png").is_file() for texture in TEXTURES):
         for texture in TEXTURES:
             image = load_image(textures / f"{texture}.png", "sRGB" if texture == "albedo" else "Non-Color", pack)
             images[texture] = owner.replace(bpy.data.images, f"{texture} texture", image)
     material = owner.reuse(bpy.data.materials, "material", name)
-    build_material(material, images, source)
+    build_material(material, images, source, _heights(owner, run, pack) if images else None)
     return material
+
+
+def _heights(owner: Owner, run: Path, pack: bool) -> Heights | None:
+    """Load the height texture with its scale in run.json; None where the run has none."""
+    path = run / "textures" / "height.png"
+    if not path.is_file():
+        return None
+    state = run / "run.json"
+    try:
+        values = json.loads(state.read_text(encoding="utf-8"))["height"]
+        scale, midlevel = float(values["scale"]), float(values["midlevel"])
+    except OSError as error:
+        raise InputError(state, f"can't be read ({error.strerror})", "restore it, or remove textures/height.png") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise InputError(state, f"lacks the scale of textures/height.png ({error!r})", "bake the run again") from error
+    image = owner.replace(bpy.data.images, "height texture", load_image(path, "Non-Color", pack))
+    return Heights(image, scale, midlevel)
 
 
 def _light(owner: Owner, path: Path, name: str, pack: bool, root: bpy.types.Object) -> bpy.types.World:

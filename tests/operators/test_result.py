@@ -91,6 +91,16 @@ def test_edited_object_becomes_the_result(run):
     assert thing.matrix_basis == Matrix() and texture_size() == 64
 
 
+def test_heights_come_into_the_scene_and_wait_for_the_switch(run):
+    material = bpy.data.materials["tiny"]
+    assert bpy.ops.irgspp.bake(run=str(run), size=64, triangles=100, height=True) == {"FINISHED"}
+    scale = json.loads((run / "run.json").read_text())["height"]["scale"]
+    node = material.node_tree.nodes["displacement"]
+    assert node.inputs["Scale"].default_value == pytest.approx(scale, rel=1e-5) and not material.irgspp_displace
+    material.irgspp_displace = True
+    assert node.outputs["Displacement"].is_linked and material.displacement_method == "DISPLACEMENT"
+
+
 def bounds(thing) -> np.ndarray:
     corners = np.array([thing.matrix_world @ vertex.co for vertex in thing.data.vertices])
     return np.stack([corners.min(0), corners.max(0)])

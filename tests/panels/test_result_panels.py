@@ -100,6 +100,13 @@ def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
     assert (values["mesh"], values["triangles"]) == ("edited", 0) and "edited mesh is baked as it is" in drawn.words
 
 
+def test_heights_are_baked_where_they_are_chosen(settings, run_folder):
+    settings.run = str(finished_run(run_folder))
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["height"] is False
+    settings.bake_height = True
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["height"] is True
+
+
 def test_each_size_up_to_the_bake_has_a_button(settings, run_folder):
     settings.run = str(finished_run(run_folder, textures={"size": 1024, "baked": 4096}))
     drawn = draw(result.IRGSPP_PT_result).buttons("irgspp.bake")

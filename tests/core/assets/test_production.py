@@ -51,6 +51,15 @@ def test_texture_set_has_packed_and_separate_maps(run, tmp_path):
     assert all((found[name] == own[name]).all() for name in own)
 
 
+def test_heights_have_their_scale_beside_them(run, tmp_path):
+    heights, record = np.arange(1024, dtype=np.uint16).reshape(32, 32), {"scale": 0.25, "midlevel": 0.5, "missed": 0.0}
+    save_textures({"height": heights}, run / "textures")
+    (run / "run.json").write_text(json.dumps({"settings": {}, "phases": {}, "height": record}))
+    save_texture_set(run, tmp_path / "set")
+    np.testing.assert_array_equal(load_textures(tmp_path / "set")["height"], heights)
+    assert json.loads((tmp_path / "set" / "height.json").read_text()) == record
+
+
 def test_directx_normals_have_the_other_green(run, tmp_path):
     normal = load_textures(run / "textures")["normal"].copy()
     normal[3, 4] = 200, 90, 210

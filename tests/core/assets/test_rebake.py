@@ -167,6 +167,30 @@ def test_triangles_make_a_new_mesh(run):
     assert len(load_textures(run / "textures")["albedo"]) == 64  # as in the run's settings
 
 
+def test_heights_lead_from_a_reduced_mesh_to_the_fused_surface(run):
+    bake(run, Silent(), triangles=200, size=128, height=True)
+    state, heights = json.loads((run / "run.json").read_text())["height"], load_textures(run / "textures")["height"]
+    mesh = load_mesh_ply(run / "mesh.ply")
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, 128)
+    place, normal = (texels.interpolate(values, mesh.faces) for values in (mesh.vertices, mesh.normals))
+    height = state["scale"] * (heights.ravel()[texels.index] / 65535 - state["midlevel"])
+    raised = place + height[:, None] * normal / np.linalg.norm(normal, axis=-1, keepdims=True)
+    spread, raised_spread = (np.linalg.norm(points, axis=-1).std() for points in (place, raised))  # flat faces of a ball have one
+    assert raised_spread < 0.5 * spread
+    bake(run, Silent(), size=32)  # made from the bake
+    assert load_textures(run / "textures")["height"].shape == (32, 32)
+    assert json.loads((run / "run.json").read_text())["height"] == state
+    bake(run, Silent(), size=160)  # without heights
+    assert "height" not in load_textures(run / "textures") and json.loads((run / "run.json").read_text())["height"] is None
+
+
+def test_mesh_that_is_not_reduced_has_no_heights(run, capsys):
+    fused = "30000"  # triangles, more than the fusion gives
+    assert main(["bake", str(run), "--triangles", fused, "--height"]) == 0
+    assert "no height texture: the mesh has all the shape" in capsys.readouterr().err
+    assert not (run / "textures" / "height.png").exists()
+
+
 def test_edited_mesh_keeps_its_uvs(run, tmp_path):
     edited = unwrapped(1.01)
     save_mesh_ply(edited, tmp_path / "edited.ply")

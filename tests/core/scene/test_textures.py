@@ -33,3 +33,14 @@ def test_packed_channels(mesh):
     assert (packed[..., 0] == 255).all()
     np.testing.assert_array_equal(packed[..., 1], mesh.textures["roughness"])
     np.testing.assert_array_equal(packed[..., 2], mesh.textures["metallic"])
+
+
+def test_heights_keep_sixteen_bits(mesh, tmp_path):
+    heights = np.random.default_rng(0).integers(0, 65536, (16, 16), dtype=np.uint16)
+    save_textures({**mesh.textures, "height": heights}, tmp_path)
+    loaded = load_textures(tmp_path)
+    np.testing.assert_array_equal(loaded["height"], heights)
+    assert loaded["height"].dtype == np.uint16 and loaded["roughness"].dtype == np.uint8
+    save_textures({"height": mesh.textures["roughness"]}, tmp_path)
+    with pytest.raises(InputError, match=r"height\.png: not a readable image \(its values are L, not 16 bits\)"):
+        load_textures(tmp_path)

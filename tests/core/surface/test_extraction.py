@@ -10,7 +10,7 @@ from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface import extraction, meshing, repair
-from irgspp.core.surface.extraction import coarser, extract_geometry
+from irgspp.core.surface.extraction import coarser, extract_geometry, extract_levels
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000)
 
@@ -135,3 +135,14 @@ def test_a_coarser_surface_keeps_shape_and_normals(extracted):
 def test_a_small_surface_stays_as_it_is(extracted):
     surface = extracted[1]
     assert coarser(surface, len(surface.faces)) is surface
+
+
+def test_levels_come_from_one_fusion_and_equal_single_extractions(solids, camera_ring, bound, recorder):
+    solid, recorded = solids["sphere"], recorder()
+    views = [solid.view(camera) for camera in camera_ring(12, size=48)]
+    settings = replace(SETTINGS, voxels=24, triangles=600)
+    reduced, fine = extract_levels(views, solid.samples(), bound, settings, recorded, None, (600, None))
+    assert [event[0] for event in recorded.events].count("fuse") == 1
+    alone = extract_geometry(views, solid.samples(), bound, settings, Silent())
+    np.testing.assert_array_equal(reduced.vertices, alone.vertices)
+    assert len(reduced.faces) <= 600 < len(fine.faces)

@@ -57,3 +57,10 @@ def test_what_lies_outside_the_charts_is_left_out() -> None:
 def test_any_smaller_size_keeps_an_even_colour(size: int) -> None:
     small = reduced_textures(square(0.1, 0.9, albedo=stripes(77, 77)), size)
     assert small["albedo"].shape == (size, size, 3) and (small["albedo"] == 77).all()
+
+
+def test_heights_are_averaged_in_sixteen_bits() -> None:
+    heights = np.full((SIZE, SIZE), 30_001, np.uint16)
+    heights[:, 1::2] = 30_101
+    small = reduced_textures(square(0, 1, albedo=stripes(9, 9), height=heights), SIZE // 2)["height"]
+    assert small.dtype == np.uint16 and (np.abs(small.astype(int) - 30_051) <= 1).all()

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Mesh of a finished run with textures baked again: the run's own, a new one, or an edited one."""
+
+from __future__ import annotations
+
+import dataclasses
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from ..errors import InputError
+from ..machine.devices import best
+from ..progress.protocol import Progress
+from ..rendering.gbuffer_cache import GBufferCache
+from ..scene.camera_files import load_run_cameras
+from ..scene.edited_mesh import EditedMesh, load_edited_mesh
+from ..scene.mesh import Mesh
+from ..scene.mesh_ply import load_mesh_ply
+from ..scene.reconstruction import Reconstruction
+from ..scene.surface import Surface
+from ..settings.schema import SurfaceSettings
+from ..surface.extraction import extract_levels
+from ..surface.height import HeightMap, height_map
+from ..surface.meshing import Triangles, vertex_normals
+from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
+from ..surface.voxel_grid import make_grid
+
+
+@dataclass(frozen=True)
+class BakeTarget:
+    """Mesh to bake onto, and optional textures.
+
+    Attributes:
+        triangles: largest number of triangles of a new mesh that is extracted from the Gaussians; None for none.
+        edited: PLY in the run's world frame that replaces the mesh; None for none.
+        height: True to bake the height of the surface as it is fused above the mesh.
+    """
+
+    triangles: int | None = None
+    edited: Path | None = None
+    height: bool = False
+
+    @property
+    def keeps_mesh(self) -> bool:
+        """True where the run's mesh stays."""
+        return self.triangles is None and self.edited is None
+
+
+@dataclass(frozen=True, eq=False)
+class Rebaked:
+    """Mesh that was baked again.
+
+    Attributes:
+        mesh: with its textures, among them "height" where there are heights.
+        reconstruction: of the run.
+        heights: None where they were not asked for, or the mesh is not reduced.
+    """
+
+    mesh: Mesh
+    reconstruction: Reconstruction
+    heights: HeightMap | None
+
+
+def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progress: Progress) -> Rebaked:
+    """Bake the textures of a run again.
+
+    Args:
+        run: folder of the finished run.
+        settings: of the surface and its textures.
+        target: mesh to bake onto.
+        progress: receives steps and messages, and may cancel.
+
+    Raises:
+        InputError: if a file can't be read, or the edited mesh lies elsewhere.
+        Cancelled: the user stopped the work.
+    """
+    given = load_edited_mesh(target.edited) if target.edited else None
+    reconstruction = Reconstruction.load(run).to(best())
+    if given is not None and target.edited is not None:
+        _check_place(given, reconstruction, target.edited)
+    cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
+    views = GBufferCache(reconstruction, cameras)
+    surface, fine = _surfaces(reconstruction, views, settings, target, progress)
+    mesh = _baked(run, given, surface, reconstruction, views, settings, progress)
+    heights = height_map(mesh, fine, settings.texels) if fine is not None else None
+    if heights is not None:
+        mesh = dataclasses.replace(mesh, textures={**mesh.textures, "height": heights.image})
+    return Rebaked(mesh, reconstruction, heights)
+
+
+def _surfaces(
+    reconstruction: Reconstruction, views: GBufferCache, settings: SurfaceSettings, target: BakeTarget, progress: Progress
+) -> tuple[Surface | None, Surface | None]:
+    """Return the new surface within the triangle budget, and the surface as it is fused; None for what the target doesn't need."""
+    budgets = ([target.triangles] if target.triangles is not None else []) + ([None] if target.height else [])
+    if not budgets:
+        return None, None
+    # The masks themselves may be gone; the Gaussians were fitted to them.
+    masks = [view.alpha for view in views] if reconstruction.background is None else None
+    found = extract_levels(views, reconstruction.surface_samples(), reconstruction.bound, settings, progress, masks, budgets)
+    return found[0] if target.triangles is not None else None, found[-1] if target.height else None
+
+
+def _baked(
+    run: Path,
+    given: EditedMesh | None,
+    surface: Surface | None,
+    reconstruction: Reconstruction,
+    views: GBufferCache,
+    settings: SurfaceSettings,
+    progress: Progress,
+) -> Mesh:
+    """Return the new surface, else the edited mesh, else the run's own mesh, with textures."""
+    samples = reconstruction.surface_samples()
+    if surface is not None:
+        return textured_mesh(surface, views, samples, settings, progress)
+    voxel = make_grid(views, samples, reconstruction.bound, settings).voxel
+    if given is not None:
+        normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
+        edited = Surface(given.vertices, normals, given.faces, voxel)
+        if given.uvs is None:
+            return textured_mesh(edited, views, samples, settings, progress)
+        return mesh_with_materials(edited, given.uvs, views, samples, settings, progress)
+    mesh = load_mesh_ply(run / "mesh.ply")
+    progress.phase("bake", len(views))
+    return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress)))
+
+
+def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:
+    """Refuse a mesh in another frame, whose textures would show the wrong parts of the object."""
+    bound = reconstruction.bound
+    distance = np.linalg.norm(mesh.vertices - np.asarray(bound.centre), axis=-1)
+    if np.median(distance) > 1.5 * bound.radius or distance.max() < 0.01 * bound.radius:
+        raise InputError(path, "doesn't lie where the run's object is", "export it in the frame of the run's mesh.ply (+Z up, unscaled)")
