@@ -93,6 +93,12 @@ TRIANGLES: Definition = {
     "default": 0,
     "min": 0,
 }
+QUADS: Definition = {
+    "name": "Quads",
+    "description": "Remesh the run's mesh to about so many quads, by QuadriFlow; 0 does not",
+    "default": 0,
+    "min": 0,
+}
 HEIGHT: Definition = {
     "name": "Height Texture",
     "description": "Also bake how far the surface as it was fused lies above a mesh of fewer triangles, for displacement",

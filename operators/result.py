@@ -42,6 +42,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
         description="Name of a mesh object, edited or newly modelled, that replaces the run's mesh; its UVs are kept",
         options=SKIP,
     )
+    quads: IntProperty(**shared.QUADS)
     height: BoolProperty(**shared.HEIGHT)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
@@ -62,6 +63,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
         words = ["bake", str(run)]
         words += ["--size", str(self.size)] if self.size else []
         words += ["--triangles", str(self.triangles)] if self.triangles else []
+        words += ["--quads", str(self.quads)] if self.quads else []
         words += ["--height"] if self.height else []
         if self.mesh:
             thing = context.scene.objects.get(self.mesh)

@@ -14,6 +14,7 @@ from ..irgspp_addon.importer.materials import available_sources
 from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.shared_properties import TEXTURE_SIZES
 from ..irgspp_addon.translations import translated
+from .asset_words import faces_text, mesh_text, size_text, texture_text
 from .job_card import draw_last
 from .run_state import RunState, run_state
 from .shown_run import object_of_run, shown_run
@@ -64,12 +65,15 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         settings, edited = context.scene.irgspp, context.scene.irgspp.edited_mesh
         column = settings_column(self.layout)
         column.row().prop(settings, "texture_size", expand=True)
-        row = column.row()
-        row.enabled = edited is None  # an edited mesh is baked as it is
-        row.prop(settings, "triangles")
+        quads = 0 if edited else settings.bake_quads  # an edited mesh is baked as it is
+        triangles = 0 if edited or quads else settings.triangles
+        for name, enabled in (("triangles", edited is None and not quads), ("bake_quads", edited is None)):
+            row = column.row()
+            row.enabled = enabled
+            row.prop(settings, name)
         column.prop(settings, "edited_mesh")
         column.prop(settings, "bake_height")
-        say(column, context, mesh_text(settings.triangles, edited is not None), icon="INFO")
+        say(column, context, mesh_text(triangles, quads, edited is not None), icon="INFO")
         button(
             self.layout,
             "irgspp.bake",
@@ -77,7 +81,8 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
             "TEXTURE",
             run=str(shown_run(context)),
             size=int(settings.texture_size),
-            triangles=0 if edited else settings.triangles,
+            triangles=triangles,
+            quads=quads,
             mesh=edited.name if edited else "",
             height=settings.bake_height,
         )
@@ -106,7 +111,7 @@ def draw_object(layout: bpy.types.UILayout, context: bpy.types.Context, run: Pat
         row = layout.row(align=True)
         row.prop(thing, "name", text="", icon="OUTLINER_OB_MESH")
         row.prop(thing, "hide_viewport", text="", emboss=True)
-        layout.label(text=translated("{count} triangles, {textures}", count=f"{len(thing.data.polygons):,}", textures=texture_text(thing)))
+        layout.label(text=f"{faces_text(thing.data)}, {texture_text(thing)}")
         material = thing.active_material
         if material is not None and len(available_sources(material)) > 1:
             column = settings_column(layout)
@@ -145,25 +150,6 @@ def draw_texture_sizes(layout: bpy.types.UILayout, run: Path, state: RunState) -
         pressed.run, pressed.size = str(run), size
 
 
-def size_text(size: int) -> str:
-    """Return a texture size as artists name it: "2k" for 2048 texels along a side."""
-    return f"{size // 1024}k" if size % 1024 == 0 else str(size)
-
-
-def mesh_text(triangles: int, edited: bool) -> str:
-    """Return what baking does with the mesh, in words.
-
-    Args:
-        triangles: largest number of triangles; 0 keeps the mesh.
-        edited: the user has chosen a mesh of their own.
-    """
-    if edited:
-        return "The edited mesh is baked as it is."
-    if not triangles:
-        return "0 triangles: the mesh stays as it is."
-    return translated("A new mesh of at most {count} triangles.", count=f"{triangles:,}")
-
-
 def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
     """Draw the buttons that look through the cameras one after the other, the photograph's slider, and the switch that shows the cameras.
 
@@ -182,13 +168,6 @@ def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     if photograph is not None:
         layout.prop(context.scene, "irgspp_photograph", text="Photograph", slider=True)
     button(layout, "irgspp.show_cameras", "Hide Cameras" if shown else "Show Cameras", "CAMERA_DATA", show=not shown)
-
-
-def texture_text(thing: bpy.types.Object) -> str:
-    """Return the size of the material's textures, such as "textures 1024"."""
-    tree = thing.active_material.node_tree if thing.active_material else None
-    images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
-    return translated("textures {size}", size=images[0].size[0]) if images else translated("no textures")
 
 
 def draw_files(layout: bpy.types.UILayout, run: Path) -> None:

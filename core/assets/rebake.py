@@ -42,12 +42,13 @@ def bake(
     triangles: int | None = None,
     edited: Path | None = None,
     height: bool = False,
+    quads: int | None = None,
 ) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
-    Without `triangles` and `edited` the mesh stays as it is. Without `height` too, a size below that of the run's bake is then made from this
-    bake, which the run keeps, and the size of the bake itself is restored from there; any other size is baked. If the work fails or is
-    stopped, the run stays as it was.
+    Without `triangles`, `edited` and `quads` the mesh stays as it is. Without `height` too, a size below that of the run's bake is then
+    made from this bake, which the run keeps, and the size of the bake itself is restored from there; any other size is baked. If the work
+    fails or is stopped, the run stays as it was.
 
     Args:
         run: folder of the finished run.
@@ -55,22 +56,24 @@ def bake(
         size: texels along a side; None: bake at the size of the last bake.
         triangles: extract a new mesh from the Gaussians with at most so many.
         edited: PLY in the run's world frame that replaces the mesh, with its own UVs where it has any.
+        quads: remesh the run's mesh to about so many quads, by Blender's QuadriFlow.
         height: also bake a texture of the height of the surface as it is fused above the mesh, where the mesh is reduced.
 
     Raises:
         InputError: when an argument is bad, the run is unfinished or in use, or the textures do not fit into memory or on the disk.
         Cancelled: when the user stops the work.
+        NoBlender: when quads are asked for and no Blender is found.
+        IrgsppError: when Blender fails.
     """
     state = read_run(run)
     settings = overrides.from_dict(state["settings"], run / "run.json")
-    if triangles is not None and edited is not None:
-        raise InputError("--triangles", "can't be combined with --mesh", "decimate the mesh before")
+    target = BakeTarget(triangles, edited, quads, height)
+    target.check()
     if state.get("status") == "running" or not (run / "mesh.ply").is_file():
         raise InputError(run, "is not a finished run", "finish the reconstruction first")
     surface = dataclasses.replace(settings.surface, texture=size or baked_size(run) or settings.surface.texels)
     surface = surface if triangles is None else dataclasses.replace(surface, triangles=triangles)
     settings = overrides.check(dataclasses.replace(settings, surface=surface))
-    target = BakeTarget(triangles, edited, height)
     kept = size is not None and target == BakeTarget() and is_made_from_bake(run, size)
     if not kept:
         _check_fits(run, surface)
@@ -93,7 +96,7 @@ def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: P
     mesh, report = _detailed(made.mesh, made.reconstruction, run, settings, str(folder.state["dataset"]), progress)
     _replace(run, mesh)
     drop_kept_bake(run)
-    folder.state["baked"] = {"texture": size, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None}
+    folder.state["baked"] = {"texture": size, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None, "quads": target.quads}
     folder.state["albedo_detail"] = report.state()
     folder.state["textures"] = texture_state(mesh, size, "as set for the last bake")
     folder.state["height"] = None if made.heights is None else made.heights.state()

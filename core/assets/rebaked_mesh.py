@@ -15,7 +15,7 @@ from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
 from ..scene.camera_files import load_run_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
-from ..scene.mesh import Mesh
+from ..scene.mesh import Mesh, joined_quads
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..scene.surface import Surface
@@ -25,6 +25,7 @@ from ..surface.height import HeightMap, height_map
 from ..surface.meshing import Triangles, vertex_normals
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
+from .quad_mesh import quad_mesh
 
 
 @dataclass(frozen=True)
@@ -34,17 +35,20 @@ class BakeTarget:
     Attributes:
         triangles: largest number of triangles of a new mesh that is extracted from the Gaussians; None for none.
         edited: PLY in the run's world frame that replaces the mesh; None for none.
+        quads: approximate number of quads that the run's mesh is remeshed to; None for none.
         height: True to bake the height of the surface as it is fused above the mesh.
     """
 
     triangles: int | None = None
     edited: Path | None = None
+    quads: int | None = None
     height: bool = False
 
-    @property
-    def keeps_mesh(self) -> bool:
-        """True where the run's mesh stays."""
-        return self.triangles is None and self.edited is None
+    def check(self) -> None:
+        """Raise InputError where more than one mesh is asked for."""
+        given = [name for name, value in (("--triangles", self.triangles), ("--mesh", self.edited), ("--quads", self.quads)) if value]
+        if len(given) > 1:
+            raise InputError(given[0], f"can't be combined with {given[1]}", "give one of them")
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,10 +76,13 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progr
         progress: receives steps and messages, and may cancel.
 
     Raises:
-        InputError: if a file can't be read, or the edited mesh lies elsewhere.
+        InputError: if a file can't be read, the edited mesh lies elsewhere, or the number of quads is too small.
         Cancelled: the user stopped the work.
+        NoBlender: when quads are asked for and no Blender is found.
+        IrgsppError: when Blender fails.
     """
-    given = load_edited_mesh(target.edited) if target.edited else None
+    given = quad_mesh(run, target.quads, progress) if target.quads is not None else None
+    given = load_edited_mesh(target.edited) if target.edited else given
     reconstruction = Reconstruction.load(run).to(best())
     if given is not None and target.edited is not None:
         _check_place(given, reconstruction, target.edited)
@@ -120,8 +127,10 @@ def _baked(
         normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
         edited = Surface(given.vertices, normals, given.faces, voxel)
         if given.uvs is None:
-            return textured_mesh(edited, views, samples, settings, progress)
-        return mesh_with_materials(edited, given.uvs, views, samples, settings, progress)
+            mesh = textured_mesh(edited, views, samples, settings, progress)
+        else:
+            mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress)
+        return dataclasses.replace(mesh, quads=joined_quads(mesh.faces, given.quads))
     mesh = load_mesh_ply(run / "mesh.ply")
     progress.phase("bake", len(views))
     return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress)))

@@ -242,7 +242,7 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
     with quick_imports():
         from ..assets.rebake import bake
 
-    bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh, height=args.height)
+    bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh, height=args.height, quads=args.quads)
     terminal.end_line()
     print(args.run)
     return 0

@@ -146,7 +146,7 @@ def _add_export(subparsers: Subparsers) -> None:
 
 
 def _add_bake(subparsers: Subparsers) -> None:
-    one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, or an edited mesh")
+    one = _command(subparsers, "bake", commands.bake, "bake a run again: other texture size, other triangles, quads, or an edited mesh")
     _run_argument(one)
     size = "texels along a side, such as 4k; textures smaller than the last bake are made from it (default: bake its size again)"
     one.add_argument("--size", type=texels, metavar="N", help=size)
@@ -154,6 +154,8 @@ def _add_bake(subparsers: Subparsers) -> None:
     one.add_argument(
         "--mesh", metavar="FILE", type=Path, help="PLY in the coordinates of the run's mesh.ply that replaces the mesh; its UVs are kept"
     )
+    remeshed = "remesh the run's mesh to about N quads by Blender's QuadriFlow"
+    one.add_argument("--quads", type=int, metavar="N", help=remeshed)
     finer = "also bake the height of the surface as it was fused above a mesh of fewer triangles: textures/height.png, 16 bits"
     one.add_argument("--height", action="store_true", help=finer)
 

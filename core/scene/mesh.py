@@ -25,6 +25,8 @@ class Mesh:
             where it is not known.
         material_confidence: (V, 3) float32 of albedo, roughness and metallic, in 0..1, see `Reconstruction`; 0 where no view sees the
             vertex; or None where it is not known.
+        quads: (F,) bool, True for a triangle (a, b, c) that makes up the quad (a, b, c, d) with the next one, (a, c, d); or None
+            where all faces are triangles.
     """
 
     vertices: np.ndarray
@@ -37,3 +39,22 @@ class Mesh:
     textures: dict[str, np.ndarray] = field(default_factory=dict)
     confidence: np.ndarray | None = None
     material_confidence: np.ndarray | None = None
+    quads: np.ndarray | None = None
+
+
+def joined_quads(faces: np.ndarray, quads: np.ndarray | None) -> np.ndarray | None:
+    """Return which quads are still whole after faces or vertices have changed, such as where a UV seam runs along a diagonal.
+
+    Args:
+        faces: (F, 3).
+        quads: (F,) bool as in `Mesh.quads`, or None.
+
+    Returns:
+        (F,) bool, True where the triangles share the diagonal's vertices; None where there is no quad.
+    """
+    if quads is None or not quads.any():
+        return None
+    following = np.roll(faces, -1, axis=0)
+    whole = quads & ~np.roll(quads, -1) & (faces[:, 0] == following[:, 0]) & (faces[:, 2] == following[:, 1])
+    whole[-1] = False
+    return whole if whole.any() else None

@@ -12,7 +12,7 @@ from ..errors import InputError
 from ..io.atomic import atomic_file
 from ..io.srgb import encode_srgb
 from .gbuffer import CONFIDENCE
-from .mesh import Mesh
+from .mesh import Mesh, joined_quads
 
 COLUMNS = {
     "vertices": ("x", "y", "z"),
@@ -23,6 +23,7 @@ COLUMNS = {
     "metallic": ("metallic",),
 }
 OPTIONAL = {"confidence": ("confidence",), "material_confidence": CONFIDENCE}
+QUAD = "quad"  # property of faces: 1 where this triangle and the next one make up a quad
 COLOUR = ("red", "green", "blue")  # the albedo once more, 8-bit sRGB, for viewers that don't know the columns above
 
 
@@ -43,8 +44,11 @@ def save_mesh_ply(mesh: Mesh, path: Path) -> None:
     colour = np.round(255 * np.clip(encode_srgb(np.clip(mesh.albedo, 0, 1)), 0, 1))
     for i, name in enumerate(COLOUR):
         vertex[name] = colour[:, i]
-    face = np.empty(len(mesh.faces), [("vertex_indices", "i4", (3,))])
+    flags = [] if mesh.quads is None else [(QUAD, "u1")]
+    face = np.empty(len(mesh.faces), [("vertex_indices", "i4", (3,)), *flags])
     face["vertex_indices"] = mesh.faces
+    if mesh.quads is not None:
+        face[QUAD] = mesh.quads
     with atomic_file(path) as partial:
         PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")], byte_order="<").write(str(partial))
 
@@ -71,7 +75,8 @@ def load_mesh_ply(path: Path) -> Mesh:
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertex)):
         raise InputError(path, f"has faces that refer to vertices beyond the {len(vertex)} of the file")
     scalars = {field: values.pop(field)[:, 0] for field in ("roughness", "metallic", "confidence") if field in values}
-    return Mesh(**values, **scalars, faces=faces)  # pyright: ignore[reportArgumentType]
+    quads = joined_quads(faces, face[QUAD].astype(bool) if QUAD in face.dtype.names else None)
+    return Mesh(**values, **scalars, faces=faces, quads=quads)  # pyright: ignore[reportArgumentType]
 
 
 def _read(path: Path) -> PlyData:

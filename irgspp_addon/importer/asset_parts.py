@@ -38,7 +38,7 @@ def _level(full: bpy.types.Object, ratio: float, name: str) -> bpy.types.Object:
     full.modifiers.remove(modifier)
     mesh.name = name
     mesh.shade_smooth()
-    mesh.normals_split_custom_set_from_vertices(_normals_from(full.data, mesh))
+    mesh.normals_split_custom_set_from_vertices(normals_from(full.data, mesh))
     return _placed_beside(full, mesh, name)
 
 
@@ -51,8 +51,13 @@ def _placed_beside(full: bpy.types.Object, mesh: bpy.types.Mesh, name: str) -> b
     return thing
 
 
-def _normals_from(full: bpy.types.Mesh, mesh: bpy.types.Mesh) -> list[tuple[float, float, float]]:
-    """Return a normal for each vertex of a decimated mesh: that of the nearest vertex of the full mesh on the same side of the surface."""
+def normals_from(full: bpy.types.Mesh, mesh: bpy.types.Mesh) -> list[tuple[float, float, float]]:
+    """Return a normal for each vertex of a reduced mesh: that of the nearest vertex of the full mesh on the same side of the surface.
+
+    Args:
+        full: mesh whose corners at a vertex share a normal.
+        mesh: reduced mesh of the same surface.
+    """
     tree = KDTree(len(full.vertices))
     for i, vertex in enumerate(full.vertices):
         tree.insert(vertex.co, i)

@@ -12,7 +12,7 @@ import numpy as np
 from .ownership import Owner, put
 from .point_cloud import build_points
 from .run_root import placed_root
-from .scene_builder import set_triangles
+from .scene_builder import set_polygons
 
 SHAPE = "previews/shape.npz"  # in a run folder, see `Progress.shape` of the engine
 PARTS = ("position", "colour", "centre", "to_world")
@@ -41,7 +41,7 @@ def show_live_shape(run: Path, scene: bpy.types.Scene) -> bpy.types.Object | Non
         return build_points(owner, name, shape["position"], shape["colour"], radius, root, collection, SIZE)
     _remove(owner, POINTS)
     mesh = bpy.data.meshes.new(name)
-    set_triangles(mesh, shape["position"], shape["faces"])
+    set_polygons(mesh, shape["position"], shape["faces"].reshape(-1), np.full(len(shape["faces"]), 3))
     mesh.shade_smooth()
     surface = owner.object(SURFACE, name, owner.replace(bpy.data.meshes, f"{SURFACE} data", mesh), root)
     surface.hide_render = True

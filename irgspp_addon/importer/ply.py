@@ -60,7 +60,7 @@ def _elements(head: str, path: Path) -> list[tuple[str, int, list[tuple]]]:
     return elements
 
 
-def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, uvs: np.ndarray | None) -> None:
+def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.ndarray, uvs: np.ndarray | None, quads: np.ndarray) -> None:
     """Write a triangle mesh as a binary PLY, atomically.
 
     Args:
@@ -69,6 +69,7 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.n
         faces: (F, 3) vertex indices of the triangles.
         normals: (V, 3) unit normals.
         uvs: (V, 2) texture coordinates, or None.
+        quads: (F,) bool, True for a triangle that makes up a quad with the next one.
 
     Raises:
         InputError: if the file can't be written.
@@ -77,9 +78,9 @@ def write_ply(path: Path, vertices: np.ndarray, faces: np.ndarray, normals: np.n
     if uvs is not None:
         columns |= {"s": uvs[:, 0], "t": uvs[:, 1]}
     lines = ["ply", "format binary_little_endian 1.0", f"element vertex {len(vertices)}", *(f"property float {name}" for name in columns)]
-    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", ""]
-    face = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
-    face["count"], face["corners"] = 3, faces
+    lines += [f"element face {len(faces)}", "property list uchar int vertex_indices", "property uchar quad", "end_header", ""]
+    face = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3), ("quad", "u1")])
+    face["count"], face["corners"], face["quad"] = 3, faces, quads
     partial = path.with_name(path.name + ".part")
     try:
         partial.write_bytes("\n".join(lines).encode() + np.stack([*columns.values()], -1).astype("<f4").tobytes() + face.tobytes())

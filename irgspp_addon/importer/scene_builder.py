@@ -26,6 +26,7 @@ from .run_frame import ALBEDO_SCALE
 from .run_root import placed_root
 
 COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
+QUAD = "quad"  # property of faces: this triangle and the next one make up a quad
 COVERAGE = "confidence"  # column that runs of version 0.1 lack
 
 
@@ -154,12 +155,12 @@ def textured_mesh(path: Path, name: str, offset: np.ndarray) -> bpy.types.Mesh:
 def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
     """Build the mesh with welded UV seams, a connected surface for sculpting and smoothing: Blender stores UVs per corner."""
     vertex, face = elements["vertex"], elements["face"]
-    corners = face["vertex_indices"].astype(np.int64)
+    corners, sizes = _polygons(face)
     positions, first, welded = np.unique(_columns(vertex, "x", "y", "z"), axis=0, return_index=True, return_inverse=True)
     mesh = bpy.data.meshes.new(name)
-    set_triangles(mesh, positions, welded.reshape(-1)[corners])
+    set_polygons(mesh, positions, welded.reshape(-1)[corners], sizes)
     uv = mesh.uv_layers.new(name="UVMap")
-    uv.data.foreach_set("uv", _columns(vertex, "s", "t")[corners.reshape(-1)].reshape(-1))
+    uv.data.foreach_set("uv", _columns(vertex, "s", "t")[corners].reshape(-1))
     _set_attributes(mesh, vertex[first])
     mesh.shade_smooth()
     mesh.update()
@@ -167,20 +168,32 @@ def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
     return mesh
 
 
-def set_triangles(mesh: bpy.types.Mesh, positions: np.ndarray, faces: np.ndarray) -> None:
-    """Set vertices and triangles as `from_pydata` does, without a Python object for each number.
+def _polygons(face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the corners (L,) of the polygons one after another, and their numbers: 4 where two triangles are marked as a quad."""
+    triangles = face["vertex_indices"].astype(np.int64)
+    quads = face[QUAD].astype(bool) if QUAD in face.dtype.names else np.zeros(len(face), bool)
+    quads[-1:] = False  # there is no next one
+    rows = np.concatenate([triangles, np.roll(triangles, -1, axis=0)[:, 2:]], -1)
+    begins = ~np.append([False], quads[:-1])
+    sizes = np.where(quads, 4, 3)[begins]
+    return rows[begins][np.arange(4) < sizes[:, None]], sizes
+
+
+def set_polygons(mesh: bpy.types.Mesh, positions: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> None:
+    """Set vertices and polygons as `from_pydata` does, without a Python object for each number.
 
     Args:
         mesh: empty mesh.
         positions: (V, 3).
-        faces: (T, 3) indices of vertices, all valid.
+        corners: (L,) indices of vertices, all valid, polygon after polygon.
+        sizes: (P,) number of corners of each polygon.
     """
     mesh.vertices.add(len(positions))
     mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).reshape(-1))
-    mesh.loops.add(faces.size)
-    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, np.int32).reshape(-1))
-    mesh.polygons.add(len(faces))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, 3, dtype=np.int32))
+    mesh.loops.add(len(corners))
+    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(corners, np.int32))
+    mesh.polygons.add(len(sizes))
+    mesh.polygons.foreach_set("loop_start", (np.cumsum(sizes) - sizes).astype(np.int32))
     mesh.update(calc_edges=True)
 
 

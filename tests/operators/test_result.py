@@ -91,6 +91,20 @@ def test_edited_object_becomes_the_result(run):
     assert thing.matrix_basis == Matrix() and texture_size() == 64
 
 
+def test_run_becomes_quads(run):
+    assert bpy.ops.irgspp.bake(run=str(run), quads=150) == {"FINISHED"}
+    thing = bpy.data.objects["tiny"]
+    assert {len(polygon.vertices) for polygon in thing.data.polygons} == {4} and 75 < len(thing.data.polygons) < 300
+    assert not thing.data.validate() and texture_size() == 64
+    mirrored = [polygon for polygon in thing.data.polygons if uv_area(thing.data, polygon) <= 0]
+    assert len(mirrored) <= 0.02 * len(thing.data.polygons)  # QuadriFlow folds a few at sharp corners
+
+
+def uv_area(mesh, polygon) -> float:
+    u, v = np.array([mesh.uv_layers.active.uv[loop].vector for loop in polygon.loop_indices]).T
+    return float((u * np.roll(v, -1) - v * np.roll(u, -1)).sum() / 2)
+
+
 def test_heights_come_into_the_scene_and_wait_for_the_switch(run):
     material = bpy.data.materials["tiny"]
     assert bpy.ops.irgspp.bake(run=str(run), size=64, triangles=100, height=True) == {"FINISHED"}
@@ -112,6 +126,7 @@ def test_object_made_anew_gives_the_run_its_shape(run):
     ball = bpy.context.object
     assert bpy.ops.irgspp.bake(run=str(run), mesh=ball.name, size=64) == {"FINISHED"}
     assert triangles(thing) == triangles(ball) == 16 * 8 * 2 - 32
+    assert len(thing.data.polygons) == len(ball.data.polygons)  # the quads are quads again
     assert ball.active_material == thing.active_material
     assert len(ball.data.vertices) == len(thing.data.vertices)  # sewn together again
 

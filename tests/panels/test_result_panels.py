@@ -100,6 +100,16 @@ def test_an_edited_mesh_is_baked_as_it_is(settings, run_folder):
     assert (values["mesh"], values["triangles"]) == ("edited", 0) and "edited mesh is baked as it is" in drawn.words
 
 
+def test_quads_come_before_triangles_and_after_an_edited_mesh(settings, run_folder):
+    settings.run, settings.triangles, settings.bake_quads = str(finished_run(run_folder)), 500, 3000
+    drawn = draw(result.IRGSPP_PT_bake)
+    values = drawn.buttons("irgspp.bake")[0].values
+    assert (values["quads"], values["triangles"]) == (3000, 0) and "remeshed to about 3,000 quads" in drawn.words
+    settings.edited_mesh = bpy.data.objects.new("edited", bpy.data.meshes.new("edited"))
+    values = draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values
+    assert (values["mesh"], values["quads"], values["triangles"]) == ("edited", 0, 0)
+
+
 def test_heights_are_baked_where_they_are_chosen(settings, run_folder):
     settings.run = str(finished_run(run_folder))
     assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["height"] is False

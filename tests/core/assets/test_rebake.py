@@ -11,7 +11,7 @@ import trimesh
 from irgspp.core.assets import rebake
 from irgspp.core.assets.rebake import bake
 from irgspp.core.cli.main import main
-from irgspp.core.errors import Cancelled, InputError
+from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.io.file_lock import FileLock
 from irgspp.core.machine import cpu_memory, disk_space
 from irgspp.core.progress.protocol import Silent
@@ -95,7 +95,7 @@ def test_size_changes_the_images_and_nothing_else(run):
     assert int(trimesh.load(run / "asset.glb").geometry["object"].visual.material.baseColorTexture.height) == 128
     assert load_textures(run / "textures")["confidence"].mean() > 128  # fourteen cameras all around
     state = json.loads((run / "run.json").read_text())
-    assert state["status"] == "done" and state["baked"] == {"texture": 128, "triangles": 1024, "mesh": None}
+    assert state["status"] == "done" and state["baked"] == {"texture": 128, "triangles": 1024, "mesh": None, "quads": None}
     assert state["textures"]["size"] == state["textures"]["baked"] == 128
     assert 0.02 < state["textures"]["texel"] < 0.05  # 12.6 units of area on the chart's 128 * 123 texels
     assert not (run / "bake.part").exists() and not (run / "scene.blend").exists()
@@ -203,6 +203,30 @@ def test_edited_mesh_keeps_its_uvs(run, tmp_path):
     assert np.abs(mesh.albedo - albedo_at(mesh.vertices)).mean() < 0.01 and np.abs(mesh.roughness - 0.6).mean() < 0.01
 
 
+def test_quads_of_a_polygon_mesh_are_kept(run, tmp_path):
+    """A cube of quads without UVs: those that the unwrapping leaves whole stay quads."""
+    corners = np.array([[x, y, z] for x in (-1, 1) for y in (-1, 1) for z in (-1, 1)]) / np.sqrt(3)
+    polygons = [(0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3)]
+    lines = ["ply", "format ascii 1.0", "element vertex 8", *(f"property float {name}" for name in "xyz")]
+    lines += ["element face 6", "property list uchar int vertex_indices", "end_header", *(" ".join(map(str, row)) for row in corners)]
+    (tmp_path / "cube.ply").write_text("\n".join([*lines, *("4 " + " ".join(map(str, polygon)) for polygon in polygons)]) + "\n")
+    bake(run, Silent(), edited=tmp_path / "cube.ply")
+    mesh = load_mesh_ply(run / "mesh.ply")
+    assert len(mesh.faces) == 12 and mesh.quads is not None and mesh.quads.sum() == 6
+
+
+def test_run_is_remeshed_to_quads(run):
+    with pytest.raises(IrgsppError, match=r"quads of .* where 300 are asked for; try another number, or bake --triangles first"):
+        bake(run, Silent(), quads=300)  # the longitude 0 is an open border of this mesh
+    bake(run, Silent(), triangles=1500)
+    bake(run, Silent(), quads=300, size=96)
+    mesh, state = load_mesh_ply(run / "mesh.ply"), json.loads((run / "run.json").read_text())["baked"]
+    assert mesh.quads is not None and 150 < mesh.quads.sum() < 500 and 2 * mesh.quads.sum() == len(mesh.faces)
+    assert state == {"texture": 96, "triangles": len(mesh.faces), "mesh": None, "quads": 300}
+    assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.05
+    assert albedo_error(run) < 0.02
+
+
 def test_edited_mesh_without_uvs_is_unwrapped(run, tmp_path):
     trimesh.creation.icosphere(3).export(tmp_path / "ball.ply")
     bake(run, Silent(), edited=tmp_path / "ball.ply")
@@ -233,6 +257,8 @@ def test_bad_options_are_refused_before_anything_is_done(run, tmp_path, capsys):
         (["--mesh", str(tmp_path / "none.ply")], "no such file"),
         (["--mesh", str(tmp_path / "far.ply")], "doesn't lie where the run's object is"),
         (["--mesh", "a.ply", "--triangles", "500"], "can't be combined with"),
+        (["--quads", "500", "--triangles", "500"], "can't be combined with"),
+        (["--quads", "5"], "--quads: 5 is too few; use 100 or more"),
     ]:
         assert main(["bake", str(run), *options]) == 2
         message = capsys.readouterr().err

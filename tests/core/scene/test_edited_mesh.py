@@ -36,6 +36,24 @@ def test_polygons_become_triangles_of_the_same_area_and_side(tmp_path, text):
     assert mesh.uvs is None and mesh.normals is None
 
 
+def test_quads_are_known_from_polygons_or_from_marks(tmp_path):
+    polygons = load_edited_mesh(write(tmp_path / "a.ply", SQUARE, [[1, 4, 2], [0, 1, 2, 3]]))
+    assert polygons.quads.tolist() == [False, True, False]
+    assert load_edited_mesh(write(tmp_path / "b.ply", SQUARE, [[0, 1, 2], [0, 2, 3]])).quads is None
+    assert load_edited_mesh(write(tmp_path / "c.ply", SQUARE, [[0, 1, 4, 2, 3]])).quads is None  # a pentagon
+    mesh = load_mesh(tmp_path / "d.ply", np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]]), np.array([1, 0, 0]))
+    assert mesh.quads.tolist() == [True, False, False]
+
+
+def load_mesh(path, faces, marks):
+    """Write triangles of SQUARE with marks of quads, and read them."""
+    vertex = np.array([tuple(point) for point in SQUARE], [(name, "f4") for name in "xyz"])
+    face = np.empty(len(faces), [("vertex_indices", "i4", (3,)), ("quad", "u1")])
+    face["vertex_indices"], face["quad"] = faces, marks
+    PlyData([PlyElement.describe(vertex, "vertex"), PlyElement.describe(face, "face")]).write(str(path))
+    return load_edited_mesh(path)
+
+
 def test_equal_vertices_are_merged_but_not_across_seams(tmp_path):
     torn = SQUARE[[0, 1, 2, 0, 2, 3]]
     same = {"s": torn[:, 0], "t": torn[:, 1]}

@@ -26,6 +26,15 @@ def test_round_trip_is_exact(mesh, tmp_path):
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.ply"]  # no temporary file stays
 
 
+def test_quads_are_kept(mesh, tmp_path):
+    faces = np.array([[0, 1, 2], [0, 2, 3], [4, 5, 6]], np.int32)
+    save_mesh_ply(replace(mesh, faces=faces, quads=np.array([True, False, False])), tmp_path / "mesh.ply")
+    assert load_mesh_ply(tmp_path / "mesh.ply").quads.tolist() == [True, False, False]
+    assert len(trimesh.load(tmp_path / "mesh.ply", process=False).faces) == 3  # other programs see triangles
+    save_mesh_ply(mesh, tmp_path / "mesh.ply")
+    assert load_mesh_ply(tmp_path / "mesh.ply").quads is None
+
+
 def test_confidence_is_kept_where_it_is_known(mesh, tmp_path):
     path, confidence = tmp_path / "mesh.ply", np.linspace(0, 1, len(mesh.vertices), dtype=np.float32)
     materials = np.stack([confidence, 1 - confidence, confidence**2], -1)
