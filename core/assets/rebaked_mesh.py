@@ -23,7 +23,7 @@ from ..settings.schema import SurfaceSettings
 from ..surface.extraction import extract_levels
 from ..surface.height import HeightMap, height_map
 from ..surface.meshing import Triangles, vertex_normals
-from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
+from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, surface_noise, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .quad_mesh import quad_mesh
 
@@ -44,6 +44,11 @@ class BakeTarget:
     quads: int | None = None
     height: bool = False
 
+    @property
+    def keeps_mesh(self) -> bool:
+        """True where the run's mesh stays."""
+        return self.triangles is None and self.edited is None and self.quads is None
+
     def check(self) -> None:
         """Raise InputError where more than one mesh is asked for."""
         given = [name for name, value in (("--triangles", self.triangles), ("--mesh", self.edited), ("--quads", self.quads)) if value]
@@ -59,20 +64,23 @@ class Rebaked:
         mesh: with its textures, among them "height" where there are heights.
         reconstruction: of the run.
         heights: None where they were not asked for, or the mesh is not reduced.
+        noise: largest noise of normals that counted, see `surface_noise`; None where there was no limit.
     """
 
     mesh: Mesh
     reconstruction: Reconstruction
     heights: HeightMap | None
+    noise: float | None
 
 
-def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progress: Progress) -> Rebaked:
+def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, noise: float | None, progress: Progress) -> Rebaked:
     """Bake the textures of a run again.
 
     Args:
         run: folder of the finished run.
         settings: of the surface and its textures.
         target: mesh to bake onto.
+        noise: `Rebaked.noise` of the bake that made the run's mesh, for where that mesh stays; None without one.
         progress: receives steps and messages, and may cancel.
 
     Raises:
@@ -89,51 +97,53 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progr
     cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
     views = GBufferCache(reconstruction, cameras)
     surface, fine = _surfaces(reconstruction, views, settings, target, progress)
-    mesh = _baked(run, given, surface, reconstruction, views, settings, progress)
-    heights = height_map(mesh, fine, settings.texels) if fine is not None else None
+    if not target.keeps_mesh and fine is not None:
+        noise = surface_noise(fine, views, reconstruction.surface_samples())
+    mesh = _baked(run, given or surface, reconstruction, views, settings, noise, progress)
+    heights = height_map(mesh, fine, settings.texels) if target.height and fine is not None else None
     if heights is not None:
         mesh = dataclasses.replace(mesh, textures={**mesh.textures, "height": heights.image})
-    return Rebaked(mesh, reconstruction, heights)
+    return Rebaked(mesh, reconstruction, heights, noise)
 
 
 def _surfaces(
     reconstruction: Reconstruction, views: GBufferCache, settings: SurfaceSettings, target: BakeTarget, progress: Progress
 ) -> tuple[Surface | None, Surface | None]:
     """Return the new surface within the triangle budget, and the surface as it is fused; None for what the target doesn't need."""
-    budgets = ([target.triangles] if target.triangles is not None else []) + ([None] if target.height else [])
-    if not budgets:
+    if target.keeps_mesh and not target.height:
         return None, None
+    budgets = [None] if target.triangles is None else [target.triangles, None]
     # The masks themselves may be gone; the Gaussians were fitted to them.
     masks = [view.alpha for view in views] if reconstruction.background is None else None
     found = extract_levels(views, reconstruction.surface_samples(), reconstruction.bound, settings, progress, masks, budgets)
-    return found[0] if target.triangles is not None else None, found[-1] if target.height else None
+    return found[0] if target.triangles is not None else None, found[-1]
 
 
 def _baked(
     run: Path,
-    given: EditedMesh | None,
-    surface: Surface | None,
+    given: EditedMesh | Surface | None,
     reconstruction: Reconstruction,
     views: GBufferCache,
     settings: SurfaceSettings,
+    noise: float | None,
     progress: Progress,
 ) -> Mesh:
-    """Return the new surface, else the edited mesh, else the run's own mesh, with textures."""
+    """Return the edited mesh or the new surface, else the run's own mesh, with textures."""
     samples = reconstruction.surface_samples()
-    if surface is not None:
-        return textured_mesh(surface, views, samples, settings, progress)
+    if isinstance(given, Surface):
+        return textured_mesh(given, views, samples, settings, progress, noise=noise)
     voxel = make_grid(views, samples, reconstruction.bound, settings).voxel
     if given is not None:
         normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
         edited = Surface(given.vertices, normals, given.faces, voxel)
         if given.uvs is None:
-            mesh = textured_mesh(edited, views, samples, settings, progress)
+            mesh = textured_mesh(edited, views, samples, settings, progress, noise=noise)
         else:
-            mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress)
+            mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress, noise)
         return dataclasses.replace(mesh, quads=joined_quads(mesh.faces, given.quads))
     mesh = load_mesh_ply(run / "mesh.ply")
     progress.phase("bake", len(views))
-    return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress)))
+    return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress), noise))
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

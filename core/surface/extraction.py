@@ -67,7 +67,7 @@ def extract_levels(
         settings: resolution and smoothing.
         progress: receives steps and messages, and may cancel.
         masks: opacity of each view's image, or None.
-        budgets: largest number of triangles of each surface; None for the surface as it is fused, which is not decimated.
+        budgets: largest number of triangles of each surface; None for the surface as it is fused, neither decimated nor repaired.
 
     Raises:
         IrgsppError: no surface was found.
@@ -78,7 +78,9 @@ def extract_levels(
     fused = _fused_surface(fuse(views, grid, progress), grid, settings)
     surfaces = []
     for budget in budgets:
-        surface = _filling(_reduced(fused, budget, settings), [view.camera for view in views], masks, progress)
+        surface = fused.surface() if budget is None else _reduced(fused, budget, settings)
+        surface = _filling(surface, [view.camera for view in views], masks, progress)
+        surface = surface if budget is None else _unfold(surface)
         progress.message(f"surface: {len(surface.vertices):,} vertices, {len(surface.faces):,} triangles")
         if progress.cancelled:
             raise Cancelled("stopped during surface extraction")
@@ -87,12 +89,12 @@ def extract_levels(
 
 
 def _filling(surface: Surface, cameras: Sequence[Camera], masks: Sequence[np.ndarray] | None, progress: Progress) -> Surface:
-    """Return the surface moved outward at its outlines to fill the masks, where there are some, without folded faces."""
+    """Return the surface moved outward at its outlines to fill the masks, where there are some."""
     if masks is not None:
         offset = silhouette_offset(surface.vertices, surface.faces, cameras, masks)
         surface = Surface(surface.vertices + offset[:, None] * surface.normals, surface.normals, surface.faces, surface.voxel)
         progress.message(f"surface moved outward by {offset.mean():.2g} scene units on average to fill the masks")
-    return _unfold(surface)
+    return surface
 
 
 def coarser(surface: Surface, triangles: int) -> Surface:
@@ -127,6 +129,10 @@ class _Fused:
     voxel: float
     longest: float
 
+    def surface(self) -> Surface:
+        """Return it as a surface."""
+        return Surface(self.mesh.vertices, self.normals, self.mesh.faces, self.voxel)
+
 
 def _fused_surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) -> _Fused:
     """Mesh distances (B, BLOCK^3), fill holes, and smooth."""
@@ -138,9 +144,9 @@ def _fused_surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) 
     return _Fused(fine, meshing.vertex_normals(fine, settings.normal_averages), grid.voxel, longest)
 
 
-def _reduced(fused: _Fused, triangles: int | None, settings: SurfaceSettings) -> Surface:
-    """Return the surface decimated to a budget, None for all of it, with unit vertex normals that the fused one supplies."""
-    mesh = fused.mesh if triangles is None else meshing.decimated(fused.mesh, int(DECIMATED_FRACTION * triangles))
+def _reduced(fused: _Fused, triangles: int, settings: SurfaceSettings) -> Surface:
+    """Return the surface decimated to a budget, with unit vertex normals that the fused one supplies."""
+    mesh = meshing.decimated(fused.mesh, int(DECIMATED_FRACTION * triangles))
     mesh = repair.make_manifold(meshing.cleaned(mesh))
     mesh = repair.fill_holes(repair.remove_folds(mesh), fused.longest)  # where three sheets meet, a division leaves a hole
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb

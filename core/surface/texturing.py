@@ -23,6 +23,8 @@ from .repair import facing_normals
 from .unwrap import unwrap
 from .unwrap_process import UnwrapProcess
 
+NOISE_POINTS = 20_000  # vertices that the noise of normals is measured at
+
 
 def textured_mesh(
     surface: Surface,
@@ -31,6 +33,7 @@ def textured_mesh(
     settings: SurfaceSettings,
     progress: Progress,
     unwrapping: UnwrapProcess | None = None,
+    noise: float | None = None,
 ) -> Mesh:
     """Unwrap the surface, and give it materials at the vertices and in textures.
 
@@ -41,6 +44,7 @@ def textured_mesh(
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
         unwrapping: unwrapping of this surface that was begun earlier; None to unwrap it now.
+        noise: largest noise of normals, see `surface_noise`; None for no limit.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -55,11 +59,11 @@ def textured_mesh(
         raise Cancelled("stopped during UV unwrapping")
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
-    noise = normal_noise(surface.normals, fused.normal, fused.weight > 0)
-    normals = add_normal_detail(surface.normals, fused.normal, noise, settings.detail)
+    own = limited(normal_noise(surface.normals, fused.normal, fused.weight > 0), noise)
+    normals = add_normal_detail(surface.normals, fused.normal, own, settings.detail)
     normals = facing_normals(Triangles(surface.vertices, surface.faces), normals)
     mesh = _mesh_of(surface.vertices[source], normals[source], uvs, faces, fused.at(source))
-    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), noise))
     return mesh
 
 
@@ -86,6 +90,7 @@ def mesh_with_materials(
     samples: SurfaceSamples,
     settings: SurfaceSettings,
     progress: Progress,
+    noise: float | None = None,
 ) -> Mesh:
     """Give an existing mesh materials at its vertices and in textures; geometry and UVs do not change.
 
@@ -96,6 +101,7 @@ def mesh_with_materials(
         samples: its Gaussians, for parts that no view sees.
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
+        noise: largest noise of normals, see `surface_noise`; None for no limit.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -103,8 +109,28 @@ def mesh_with_materials(
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
     mesh = _mesh_of(surface.vertices, surface.normals, uvs, surface.faces.astype(np.int32), fused)
-    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views))))
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), noise))
     return mesh
+
+
+def surface_noise(fine: Surface, views: Sequence[GBuffer], samples: SurfaceSamples) -> float:
+    """Return the noise of normals on the surface before its triangles are reduced, see `normal_noise`.
+
+    On a reduced mesh, the difference of its normals from the views' is shape that its faces have lost, which must not count as noise.
+
+    Args:
+        fine: surface as it is fused.
+        views: G-buffers of the reconstruction at the training cameras.
+        samples: its Gaussians, for parts that no view sees.
+    """
+    pick = np.random.default_rng(0).choice(len(fine.vertices), min(NOISE_POINTS, len(fine.vertices)), replace=False)
+    fused = fuse_materials(fine.vertices[pick], fine.normals[pick], views, samples, fine.voxel, lambda done: None)
+    return normal_noise(fine.normals[pick], fused.normal, fused.weight > 0)
+
+
+def limited(noise: float, limit: float | None) -> float:
+    """Return the noise of a mesh's normals, at most a limit where there is one."""
+    return noise if limit is None else min(noise, limit)
 
 
 def _mesh_of(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray, materials: FusedMaterials) -> Mesh:
@@ -129,6 +155,7 @@ def baked_textures(
     voxel: float,
     settings: SurfaceSettings,
     step: Callable[[int], None] = lambda done: None,
+    noise: float | None = None,
 ) -> dict[str, np.ndarray]:
     """Bake albedo, roughness, metallic, normal and confidence textures.
 
@@ -139,6 +166,7 @@ def baked_textures(
         voxel: resolution of the surface, world units.
         settings: texture size and strength of the normal detail.
         step: called with the number of views done; may raise.
+        noise: largest noise of normals, see `surface_noise`; None for no limit.
 
     Returns:
         Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
@@ -153,7 +181,7 @@ def baked_textures(
         "albedo": texels.image(srgb_eight_bits(fused.albedo)),
         "roughness": texels.image(eight_bits(fused.roughness)),
         "metallic": texels.image(eight_bits(fused.metallic)),
-        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings.detail)),
+        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings.detail, noise)),
         "confidence": texels.image(eight_bits(fused.confidence)),
     }
     if fused.material_confidence is not None:
@@ -161,11 +189,13 @@ def baked_textures(
     return images
 
 
-def _normal_codes(mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, strength: float) -> np.ndarray:
+def _normal_codes(
+    mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, strength: float, limit: float | None
+) -> np.ndarray:
     """Return the normals of P texels with detail as codes (P, 3) uint8 in tangent space; `normals` (P, 3) are the mesh's."""
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
     seen, codes = fused.weight > 0, np.empty(normals.shape, np.uint8)
-    noise = normal_noise(normals, fused.normal, seen)
+    noise = limited(normal_noise(normals, fused.normal, seen), limit)
     for part in texels.chunks():
         normal = normals[part].astype(np.float64)
         detailed = np.where(seen[part, None], add_normal_detail(normal, fused.normal[part], noise, strength), normal)

@@ -9,8 +9,11 @@ from irgspp.core.errors import Cancelled
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import SurfaceSettings
-from irgspp.core.surface.extraction import extract_geometry
-from irgspp.core.surface.texturing import textured_mesh
+from irgspp.core.surface.bake import tangents
+from irgspp.core.surface.extraction import extract_geometry, extract_levels
+from irgspp.core.surface.mesh_texels import mesh_texels
+from irgspp.core.surface.meshing import unit
+from irgspp.core.surface.texturing import surface_noise, textured_mesh
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)
 
@@ -105,6 +108,28 @@ def test_normal_texture_of_a_smooth_solid_is_nearly_flat(made):
     normal = mesh.textures["normal"] / 127.5 - 1
     assert np.median(np.degrees(np.arccos(np.clip(normal[..., 2], -1, 1)))) < 2
     np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=0.02)
+
+
+def shaded_normals(mesh, size):
+    """Return the points (P, 3) at the texels, and the normals (P, 3) that a renderer makes of the normal texture there."""
+    texels, frames = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, size), tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
+    normal, tangent = (unit(texels.interpolate(values, mesh.faces)) for values in (mesh.normals, frames[:, :3]))
+    tangent = unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
+    bitangent = frames[mesh.faces[texels.face, 0], 3:] * np.cross(normal, tangent)
+    code = mesh.textures["normal"].reshape(-1, 3)[texels.index] / 127.5 - 1
+    return texels.interpolate(mesh.vertices, mesh.faces), unit(code[:, :1] * tangent + code[:, 1:2] * bitangent + code[:, 2:] * normal)
+
+
+def test_shape_that_a_reduced_mesh_has_lost_is_no_noise(solids, camera_ring, bound):
+    solid, settings = solids["torus"], replace(SETTINGS, texture=128)
+    views, samples = [solid.view(camera) for camera in camera_ring(20)], solid.samples()
+    coarse, fine = extract_levels(views, samples, bound, settings, Silent(), None, (250, None))
+    noise, errors = surface_noise(fine, views, samples), []
+    for limit in (None, noise):
+        points, normals = shaded_normals(textured_mesh(coarse, views, samples, settings, Silent(), noise=limit), 128)
+        cosine = (normals * solid.gradient(solid.project(points))).sum(-1)
+        errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
+    assert errors[1] < 0.7 * errors[0]
 
 
 def test_progress_reports_both_phases_and_every_step(few, recorder):
