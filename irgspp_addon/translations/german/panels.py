@@ -156,7 +156,8 @@ TEXTS: dict[str, str] = {
     "The run folder can't be read.": "Der Ordner des Laufs kann nicht gelesen werden.",
     "Import Again": "Neu importieren",
     "Import Result": "Ergebnis importieren",
-    "{count} triangles, {textures}": "{count} Dreiecke, {textures}",
+    "{count} triangles": "{count} Dreiecke",
+    "{count} faces": "{count} Flächen",
     "textures {size}": "Texturen {size}",
     "no textures": "keine Texturen",
     "Textures": "Texturen",
@@ -171,6 +172,7 @@ TEXTS: dict[str, str] = {
     "Bake": "Backen",
     "A new mesh of at most {count} triangles.": "Ein neues Mesh aus höchstens {count} Dreiecken.",
     "0 triangles: the mesh stays as it is.": "0 Dreiecke: das Mesh bleibt, wie es ist.",
+    "The mesh is remeshed to about {count} quads.": "Das Mesh wird aus etwa {count} Vierecken neu gebildet.",
     "The edited mesh is baked as it is.": "Das bearbeitete Mesh wird gebacken, wie es ist.",
     # Relight
     "Relight": "Neu beleuchten",

@@ -182,6 +182,19 @@ TEXTS: dict[str, str] = {
     "Make a new mesh of at most so many triangles; 0 keeps the mesh as it is": (
         "Ein neues Mesh aus höchstens so vielen Dreiecken bilden; 0 lässt das Mesh, wie es ist"
     ),
+    "Quads": "Vierecke",
+    "Remesh the run's mesh to about so many quads, by QuadriFlow; 0 does not": (
+        "Das Mesh des Laufs mit QuadriFlow aus etwa so vielen Vierecken neu bilden; 0 tut es nicht"
+    ),
+    "Height Texture": "Höhentextur",
+    "Also bake how far the surface as it was fused lies above a mesh of fewer triangles, for displacement": (
+        "Auch backen, wie weit die fusionierte Oberfläche über einem Mesh aus weniger Dreiecken liegt, für die Verschiebung"
+    ),
+    "Displacement": "Verschiebung",
+    "Displace the mesh by its height texture in renders. Subdivide it first: a Subdivision Surface modifier set to Simple": (
+        "Das Mesh beim Rendern um seine Höhentextur verschieben. Es vorher unterteilen: mit einem Modifikator "
+        "Unterteilungsfläche, auf Einfach gestellt"
+    ),
     "Edited Mesh": "Bearbeitetes Mesh",
     "Mesh that you edited or modelled, to bake the textures onto. Empty: the run's own mesh": (
         "Bearbeitetes oder modelliertes Mesh, auf das die Texturen gebacken werden. Leer: das Mesh des Laufs"
