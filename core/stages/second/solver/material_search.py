@@ -124,7 +124,8 @@ class MaterialSearch:
     def grown_metal(self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, surface_normal: torch.Tensor) -> torch.Tensor:
         """Redraw the borders of metal with searched normals, too: wrong ones make a part of it look like a dielectric.
 
-        A metal's error is that with the best normal near the surface's.
+        A metal's error is the geometric mean of that with the surface's normal and that with the best one near it. By the latter alone,
+        metal spread to what mirrors it.
 
         Args:
             costs: (P, M, J), see `costs`.
@@ -135,9 +136,9 @@ class MaterialSearch:
         near = within_rings(metal, self._neighbours)
         samples, transfer = self.samples.subset(near), self.transfer.subset(near)
         turned = turned_metal_errors(samples, transfer, light, surface_normal[near], metal[near]) + NOISE_ERROR
-        dielectric = self._least(costs)[0][near] / self._views + NOISE_ERROR
+        dielectric, conductor = (least[near] / self._views + NOISE_ERROR for least in self._least(costs))
         evidence = light.new_zeros(len(metal))
-        evidence[near] = (dielectric / turned).log()
+        evidence[near] = dielectric.log() - (conductor.log() + turned.log()) / 2
         return cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
