@@ -19,7 +19,8 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 METAL_PRIOR, NEIGHBOUR_COUPLING = 0.06, 0.75
 # The same where normals of metal are searched, too (`MaterialSearch.grown_metal`). Such points before, and now (by searched normals alone):
 # capture_ogre 39 and 86, 42 and 58 (37, 67); rocker_corner 0 and 40, 0 and 28 (0, 31), in another run 1 and 49, 6 and 23 (26, 7);
-# suzanne_mixed 1 and 5, 1 and 1 (1, 1).
+# suzanne_mixed 1 and 5, 1 and 1 (1, 1). On two other scenes metal leaks, 80 and 24 -> 122 and 7, 26 and 17 -> 48 and 3; but by searched
+# normals alone with .16 (60 and 28, 30 and 16) albedo loses .1 to .35 dB on all of five scenes, as metal that is missed costs more.
 SEARCHED_NORMALS_PRIOR = 0.2
 MAX_RINGS = 4  # rings of neighbours around metal that may become metal
 MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about 2 NEIGHBOUR_COUPLING, so that more decides by itself
