@@ -13,7 +13,7 @@ from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..scene.mesh import Mesh
 from ..scene.triangle_tracer import TriangleTracer
 
-MIN_RAYS = 1 << 13  # rays of a range: fewer are traced sooner by one thread than handed to another
+MIN_SHADOW_RAYS = 1 << 13  # of a range: fewer are traced sooner by one thread than handed to another
 FAR = 1e37  # distance that counts as infinite, as in Embree's wrapper
 
 
@@ -58,11 +58,6 @@ def mesh_tracer(mesh: Mesh, device: torch.device | str) -> MeshTracer:
     return DeviceMesh(vertices, torch.from_numpy(mesh.faces).to(device))
 
 
-def _ranges(count: int) -> list[tuple[int, int]]:
-    """Split rays into ranges for the threads."""
-    return even_ranges(count, min(thread_count(), max(1, count // MIN_RAYS)))
-
-
 class EmbreeTracer:
     """`MeshTracer` by Embree on the CPU.
 
@@ -89,7 +84,7 @@ class EmbreeTracer:
             for array, values in zip((triangle, u, v, distance), found, strict=True):
                 array[begin:end] = values
 
-        run_ranges(run, _ranges(len(origins)))
+        run_ranges(run, even_ranges(len(origins), thread_count()))
         return torch.from_numpy(triangle), torch.from_numpy(u), torch.from_numpy(v), torch.from_numpy(distance)
 
     def meet(self, origin: torch.Tensor, direction: torch.Tensor, reach: torch.Tensor | None = None) -> torch.Tensor:
@@ -108,5 +103,5 @@ class EmbreeTracer:
             ends = None if far is None else far[begin:end]
             occluded[begin:end] = self._tracer.meet(origins[begin:end], directions[begin:end], ends)
 
-        run_ranges(run, _ranges(len(origins)))
+        run_ranges(run, even_ranges(len(origins), min(thread_count(), max(1, len(origins) // MIN_SHADOW_RAYS))))
         return torch.from_numpy(occluded)
