@@ -60,6 +60,7 @@ class FirstStageSettings:
     iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
     gaussians: Annotated[int, Range(16, 10_000_000)] = 120_000  # number at the start, at most; with masks also the largest number
     gaussians_per_pixel: Annotated[float, Range(0)] = 3.75  # of these, for each pixel of the object by its masks; 0: always `gaussians`
+    unmasked_gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of these, without masks; with 0 per pixel always `gaussians`
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
@@ -125,6 +126,7 @@ class SurfaceSettings:
     albedo_detail: Choice = "auto"  # albedo from full-size photographs; auto: where they are finer and held-back ones agree better
     triangles: Annotated[int, Range(100, 100_000_000)] = 100_000  # largest number after decimation
     triangles_per_pixel: Annotated[float, Range(0)] = 2.5  # of these, for each pixel of the object by its masks; 0: always `triangles`
+    unmasked_triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # of these, without masks; with 0 per pixel always `triangles`
     # Texels along a side of each texture; None: by the pixels of the full-size photographs that show the object, within the two below.
     texture: Annotated[int | None, Range(16, 16384)] = None
     texture_least: Annotated[int, Range(16, 16384)] = 1024  # also where the photographs are no larger than the working resolution
@@ -186,11 +188,9 @@ PRESETS: dict[str, Settings] = {
     "high": Settings(  # detail of large photographs, for a job over night
         preset="high",
         data=replace(DataSettings(), resolution=1600),
-        first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, gaussians_per_pixel=0.0),
+        first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, unmasked_gaussians=200_000),
         second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
-        surface=replace(
-            SurfaceSettings(), voxel_pixels=0.0, triangles=150_000, triangles_per_pixel=0.0, texture_least=4096, texture_most=8192
-        ),
+        surface=replace(SurfaceSettings(), triangles=150_000, unmasked_triangles=150_000, texture_least=4096, texture_most=8192),
     ),
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",

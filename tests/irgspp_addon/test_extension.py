@@ -38,7 +38,7 @@ def extension(archive):
 def test_zip_holds_the_package_and_nothing_else(archive):
     names = zipfile.ZipFile(archive).namelist()
     packed = {"blender_manifest.toml", "__init__.py", "LICENSE", "core/demo_data/meta.json", "irgspp_addon/importer/scene_builder.py"}
-    packed |= {f"irgspp_addon/pictures/{name}.png" for name in ("draft", "balanced")}
+    packed |= {f"irgspp_addon/pictures/{name}.png" for name in ("draft", "balanced", "high")}
     assert packed <= set(names)
     top = {name.split("/")[0] for name in names}
     assert not top & {"tests", "scripts", "typings", ".venv", ".git", ".ci", "docs", "dist"}

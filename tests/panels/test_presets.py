@@ -13,7 +13,7 @@ PICTURES = sorted(presets.PICTURES.glob("*.png"))
 
 
 def test_pictures_are_of_presets_and_differ():
-    assert {"draft", "balanced"} <= {file.stem for file in PICTURES} <= set(NAMES)
+    assert {"draft", "balanced", "high"} <= {file.stem for file in PICTURES} <= set(NAMES)
     assert len({file.read_bytes() for file in PICTURES}) == len(PICTURES)
 
 

@@ -75,8 +75,10 @@ ADDED = {
 ADDED |= {"second.shading_normals", "second.normal_iterations"}
 ADDED |= {
     "first.gaussians_per_pixel",
+    "first.unmasked_gaussians",
     "surface.voxel_pixels",
     "surface.triangles_per_pixel",
+    "surface.unmasked_triangles",
     "surface.texture_least",
     "surface.texture_most",
 }

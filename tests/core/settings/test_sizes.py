@@ -36,10 +36,15 @@ def test_settings_are_never_exceeded() -> None:
 
 
 def test_presets_of_fixed_size_stay() -> None:
-    for name in ("high", "paper"):
-        for pixels in (None, 10.0, 1e7):
-            assert with_sizes(preset(name), pixels) == preset(name)
-        assert voxels_along(preset(name).surface, 1.0) == preset(name).surface.voxels
+    for pixels in (None, 10.0, 1e7):
+        assert with_sizes(preset("paper"), pixels) == preset("paper")
+    assert voxels_along(preset("paper").surface, 1.0) == preset("paper").surface.voxels
+
+
+def test_high_is_as_fine_as_large_photographs_and_no_finer_than_small_ones() -> None:
+    high, small, unmasked = (with_sizes(preset("high"), pixels) for pixels in (3e5, 3e3, None))
+    assert high == preset("high") == unmasked and high.first.gaussians == 200_000 and high.surface.triangles == 150_000
+    assert small.first.gaussians == FEWEST_GAUSSIANS and small.surface.triangles == FEWEST_TRIANGLES
 
 
 @pytest.mark.parametrize("name", PRESETS)
