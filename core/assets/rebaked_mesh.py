@@ -51,7 +51,8 @@ class BakeTarget:
 
     def check(self) -> None:
         """Raise InputError where more than one mesh is asked for."""
-        given = [name for name, value in (("--triangles", self.triangles), ("--mesh", self.edited), ("--quads", self.quads)) if value]
+        meshes = {"--triangles": self.triangles, "--mesh": self.edited, "--quads": self.quads}
+        given = [name for name, value in meshes.items() if value is not None]
         if len(given) > 1:
             raise InputError(given[0], f"can't be combined with {given[1]}", "give one of them")
 

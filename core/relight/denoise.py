@@ -134,12 +134,12 @@ class Guides:
         return self._gathered(out)
 
     def corrected(self, values: torch.Tensor, variance: torch.Tensor, chance: float, bilateral: Filter) -> torch.Tensor:
-        """Return what `corrected` returns, (P, 3), by the kernels of the CPU.
+        """Return denoised values (P, 3), as the function `corrected` describes.
 
         Args:
             values: (P, 3) noisy values.
             variance: (P, 1) of them.
-            chance: see `corrected`.
+            chance: see there.
             bilateral: widths of the filter.
         """
         if self._index is not None:
@@ -183,13 +183,12 @@ class Guides:
         return planes.reshape(-1)
 
 
-def denoised(estimate: Estimate, surface: PrimaryHits, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
+def denoised(estimate: Estimate, guides: Guides, mode: str = "demodulated") -> torch.Tensor:
     """Denoise the reflected light of a surface.
 
     Args:
-        estimate: diffuse and specular light, with the differences of their two halves of samples.
-        surface: the P points.
-        guides: guide layers of the surface.
+        estimate: diffuse and specular light of P points of a surface, with the differences of their two halves of samples.
+        guides: guide layers and albedos of the surface.
         mode: "paper", "demodulated" or "off".
 
     Returns:
@@ -233,7 +232,7 @@ def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: 
 
 
 def corrected_reference(values: torch.Tensor, variance: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:
-    """Return what `corrected` returns by PyTorch operations: on a GPU, and the reference of the CPU's kernels.
+    """Do the same as `Guides.corrected` by PyTorch operations: on a GPU, and as the reference of the CPU's kernels.
 
     Args:
         values: (P, 3) noisy values.

@@ -78,7 +78,7 @@ def shadow_alpha(relighter: Relighter, surface: PrimaryHits, light: PreparedLigh
     black = torch.zeros_like(estimate.specular)
     matt = dataclasses.replace(estimate, specular=black, specular_split=black)
     mode = relighter.settings.denoise
-    seen = matt.diffuse if mode == "off" else denoised(matt, surface, Guides(surface, relighter.reconstruction.bound.radius), mode)
+    seen = matt.diffuse if mode == "off" else denoised(matt, Guides(surface, relighter.reconstruction.bound.radius), mode)
     free = light.irradiance(surface.normal) + _free_irradiance(relighter, surface, lamps)
     free = free * diffuse_albedo(surface, relighter.conserving) / math.pi
     ratio = torch.where(free > 0, seen / free.clamp_min(1e-20), 1.0).mean(1)

@@ -71,10 +71,8 @@ class PrimaryHits:
 
     def composite(self, colour: torch.Tensor) -> torch.Tensor:
         """Return straight colours of the points, (P, 3), as a linear premultiplied image (H, W, 4)."""
-        lit = torch.cat([colour, torch.ones_like(colour[:, :1])], 1) * self.alpha[:, None]
-        rgba = colour.new_zeros(self.coverage.numel(), 4).index_copy_(0, self.index, lit)
-        rgba[:, 3] = self.coverage.flatten()
-        return rgba.view(*self.coverage.shape, 4)
+        rgb = colour.new_zeros(self.coverage.numel(), 3).index_copy_(0, self.index, colour * self.alpha[:, None])
+        return torch.cat([rgb.view(*self.coverage.shape, 3), self.coverage[..., None]], -1)
 
 
 @dataclass(frozen=True, eq=False)

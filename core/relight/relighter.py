@@ -185,14 +185,14 @@ class Relighter:
         if self.settings.error is not None:
             return surface.composite(self._render_to_error(surface, light, lamps, self.settings.error))
         estimate = self.reflected(surface, light, lamps)
-        return surface.composite(denoised(estimate, surface, self._guides_of(surface), self.settings.denoise))
+        return surface.composite(denoised(estimate, self._guides_of(surface), self.settings.denoise))
 
     def _render_to_error(self, surface: PrimaryHits, light: PreparedLight, lamps: Sequence[Lamp], error: float) -> torch.Tensor:
         """Return colours (P, 3) with as many samples per pixel as the requested error needs, which the noise of few samples tells."""
         samples = PILOT_SAMPLES
         for remaining in reversed(range(MAX_ROUNDS)):
             estimate = self._reflected(surface, self._counts_of(samples), light, lamps)
-            colour = denoised(estimate, surface, self._guides_of(surface), self.settings.denoise)
+            colour = denoised(estimate, self._guides_of(surface), self.settings.denoise)
             noise = estimate_noise(estimate, colour, surface, self.settings.denoise != "off")
             self.estimated_error = noise.error()
             if self.estimated_error <= error or not remaining or samples == noise.needed(error):

@@ -11,7 +11,9 @@ from bpy.props import BoolProperty
 from ..shared_properties import DISPLACE
 
 IMAGE, NODE = "height texture", "displacement"  # names of the nodes
-FRAME = "Height: displaces the mesh (to switch: IRGS++ tab > Result, or link it to the Material Output); subdivide the mesh before"
+FRAME = (
+    "Height: displaces the mesh (to switch: IRGS++ tab > Look and Relight, or link it to the Material Output); subdivide the mesh before"
+)
 
 
 @dataclass(frozen=True)

@@ -31,8 +31,8 @@ LINKS = {
     },
 }
 FRAMES = {
-    "textures": "Textures: images through the UV map (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
-    "attributes": "Attributes: values at the vertices (to switch: IRGS++ tab > Result, or link these to the Principled BSDF)",
+    "textures": "Textures: images through the UV map (to switch: IRGS++ tab > Look and Relight, or link these to the Principled BSDF)",
+    "attributes": "Attributes: values at the vertices (to switch: IRGS++ tab > Look and Relight, or link these to the Principled BSDF)",
 }
 
 

@@ -123,13 +123,13 @@ def correct_range(begin, end, groups, kept, guides, spatial, epsilon, doublings,
     The reference in PyTorch operations is `corrected_reference` in core/relight/denoise.py.
     """
     own = np.empty(spatial.size * 8, np.float32)
-    acc, found = np.empty(8, np.float32), np.empty(plane, np.float32)
+    acc = np.empty(8, np.float32)
     for i in range(begin, end):
-        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, change, acc, found)
+        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, change, acc, out)  # replaced below
         at = groups[i]
         s0, s1, s2 = load(smooth, at), load(smooth, plane + at), load(smooth, 2 * plane + at)
         variance = load(smooth, 3 * plane + at) + (s0 * s0 + s1 * s1 + s2 * s2) * (chance / 3.0)
-        keep = splat(1.0) - variance / maximum(load(found, at), splat(1e-36))
+        keep = splat(1.0) - variance / maximum(load(out, at), splat(1e-36))
         keep = minimum(maximum(keep, splat(0.0)), splat(1.0))
         store(out, at, s0 + keep * (load(values, at) - s0))
         store(out, plane + at, s1 + keep * (load(values, plane + at) - s1))
