@@ -164,6 +164,7 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
     bl_label = "Run Demonstration"
 
     folder: StringProperty(name="Run Folder", description="Folder for the results", subtype="DIR_PATH", options=SKIP)
+    preset: EnumProperty(**{**shared.PRESET, "items": shared.PRESETS[:2], "default": "draft"}, options=SKIP)
     settings: StringProperty(name="Settings", description="Single settings, as key=value separated by spaces", options=SKIP)
     import_result: BoolProperty(**IMPORT)
     wait: BoolProperty(**WAIT)
@@ -173,7 +174,7 @@ class IRGSPP_OT_demo(Queued, bpy.types.Operator):
         """Start the reconstruction as a job."""
         panel = context.scene.irgspp
         run = Path(bpy.path.abspath(self.folder)).absolute() if self.folder else demo_folder()
-        words = ["demo", "-o", str(run), *set_words(self.settings)]
+        words = ["demo", "-o", str(run), "--preset", self.preset, *set_words(self.settings)]
         on_done = "import_result" if self.import_result and not self.wait else None
         place = result_import.place_of(context.scene, panel.source, panel.pack)
         job = jobs.start("demo", translated("Demonstration"), run, words, on_done, place)

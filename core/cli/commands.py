@@ -34,7 +34,7 @@ def demo(args: argparse.Namespace, terminal: Terminal) -> int:
         from ..pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
 
     replace = not args.resume and (args.run / "run.json").exists() and read_run(args.run).get("dataset") == str(DEMO_DATA)
-    settings = with_overrides(preset("balanced"), [*DEMO_OVERRIDES, *args.set])
+    settings = with_overrides(preset(args.preset), [*DEMO_OVERRIDES, *args.set])
     run = reconstruct(DEMO_DATA, args.run, settings, resume=args.resume, overwrite=replace, progress=terminal)
     terminal.end_line()
     print(run / "contact_sheet.png")

@@ -48,6 +48,7 @@ def parser() -> argparse.ArgumentParser:
 def _add_demo(subparsers: Subparsers) -> None:
     one = _command(subparsers, "demo", commands.demo, "reconstruct the small dataset that comes with irgspp", resumable=True)
     one.add_argument("-o", dest="run", metavar="DIR", type=Path, default=Path("demo"), help="run folder (default: demo)")
+    one.add_argument("--preset", choices=("draft", "balanced"), default="balanced", help="amount of work (default: balanced)")
     _resume_options(one)
 
 

@@ -102,6 +102,7 @@ def test_demo_as_a_job(tmp_path):
     (job,) = jobs.all_jobs()
     until(lambda: job.phase)
     assert job.state == "running", job.log_tail()
+    assert "draft" in job.arguments  # whoever tries the demo waits for it
     bpy.ops.irgspp.job_cancel(job=job.id)
     until(lambda: job.finished)
 

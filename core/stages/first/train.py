@@ -11,6 +11,7 @@ from ...progress.protocol import Checkpoint, Progress, Silent
 from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import Settings
+from ..common.preview import points_shape
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import first_stage_largest_scale, first_stage_schedule_scale, scale_schedule
 from ..common.training_view import object_box
@@ -80,6 +81,7 @@ def train(
     if state is not None:
         material_class, start = material_class_named(state.get("kind", ""), dataset), Start(gaussians)
     else:
+        progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
     trainer = _trainer(dataset, settings, start, material_class, crop=crop, resident=resident)

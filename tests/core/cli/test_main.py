@@ -186,6 +186,12 @@ def test_demo_replaces_an_earlier_demo_and_nothing_else(job, tmp_path):
     assert make("my photos") is False
 
 
+def test_demo_takes_a_preset(job, tmp_path):
+    for words, name in (([], "balanced"), (["--preset", "draft"], "draft")):
+        assert main(["demo", "-o", str(tmp_path / "demo"), *words]) == 0
+        assert (job.calls[-1][2].preset, job.calls[-1][2].first.gaussians) == (name, 10_000)
+
+
 @pytest.mark.parametrize("command", [["render", "RUN", "--views", "d", "-o", "o"], ["export", "RUN", "-o", "a.glb"]])
 def test_commands_on_a_folder_that_is_no_run(tmp_path, capsys, command):
     (tmp_path / "empty").mkdir()

@@ -101,6 +101,22 @@ def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera
         assert torch.equal(value, third.optimizer.gaussians.tensors()[name]), name
 
 
+def test_shape_is_offered_before_the_first_step(sphere_dataset, camera_ring):
+    shapes = []
+
+    class Watcher(StopAfter):
+        def shape(self, sample, at_once=False):
+            shapes.append(sample())
+
+        def step(self, done, **figures):
+            assert shapes, "the first step comes after its kernels are compiled"
+            super().step(done, **figures)
+
+    with pytest.raises(Cancelled):
+        train(sphere_dataset(camera_ring(9, 32)), settings(), Watcher(1))
+    assert len(shapes[0]["position"]) > 100
+
+
 def test_fit_gets_better_on_views_it_does_not_learn_from(sphere_dataset, camera_ring):
     dataset, chosen = sphere_dataset(camera_ring(12, 32)), settings("first.iterations=60").first
     trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), LOW_GLOSS, 0, 4)
