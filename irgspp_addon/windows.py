@@ -77,14 +77,26 @@ def show_selected(scene: bpy.types.Scene, materials: bool = True) -> None:
         scene: scene of the objects.
         materials: switch views in Solid shading to Material Preview, whose shaders Blender compiles for seconds the first time.
     """
+    for area in _views_of(scene):
+        space = area.spaces.active
+        if materials and space.shading.type == "SOLID":
+            space.shading.type = "MATERIAL"
+        if space.region_3d.view_perspective == "CAMERA":
+            space.region_3d.view_perspective = "PERSP"
+        with in_area(area):
+            bpy.ops.view3d.view_selected(use_all_regions=False)
+
+
+def show_world(scene: bpy.types.Scene) -> None:
+    """Light the Material Preview of a scene's 3D Views by its World, which the user has just chosen, instead of Blender's studio light."""
+    for area in _views_of(scene):
+        shading = area.spaces.active.shading
+        if shading.type == "MATERIAL":
+            shading.use_scene_world = True
+
+
+def _views_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Area]:
+    """Yield the 3D Views of the windows that show a scene; none in background mode."""
     for window in bpy.context.window_manager.windows if bpy.context.window_manager else ():
-        for area in window.screen.areas if window.scene == scene else ():
-            if area.type != "VIEW_3D":
-                continue
-            space = area.spaces.active
-            if materials and space.shading.type == "SOLID":
-                space.shading.type = "MATERIAL"
-            if space.region_3d.view_perspective == "CAMERA":
-                space.region_3d.view_perspective = "PERSP"
-            with in_area(area):
-                bpy.ops.view3d.view_selected(use_all_regions=False)
+        if window.scene == scene:
+            yield from (area for area in window.screen.areas if area.type == "VIEW_3D")

@@ -10,6 +10,7 @@ from bpy.props import StringProperty
 
 from ..core.errors import InputError
 from ..irgspp_addon.importer.run_root import recovered_light
+from ..irgspp_addon.windows import show_world
 from ..irgspp_addon.world.light_controls import SUFFIXES, use_hdri
 from .blocking import RUN, SKIP, refusing
 from .file_dialog import FileDialog
@@ -33,6 +34,7 @@ class IRGSPP_OT_open_hdri(FileDialog, bpy.types.Operator):
             raise InputError("open_hdri", "no file is named", "give filepath=")
         use_hdri(context.scene, Path(bpy.path.abspath(self.filepath)).absolute())
         context.scene.irgspp.use_world = True
+        show_world(context.scene)
         return {"FINISHED"}
 
 
@@ -53,6 +55,7 @@ class IRGSPP_OT_use_recovered_light(bpy.types.Operator):
         if world is None:
             raise InputError(run.name, "its recovered light is not in this file", "import the run")
         context.scene.world, context.scene.irgspp.use_world = world, True
+        show_world(context.scene)
         return {"FINISHED"}
 
 

@@ -17,6 +17,7 @@ from bpy.props import EnumProperty
 
 from ...core.errors import IrgsppError
 from ..engine.preferences import preferences
+from ..windows import show_world
 from .light_controls import SUFFIXES, light_controls, use_hdri
 
 CHECK_SECONDS = 2.0  # between two readings of the user's folder: a panel may be drawn sixty times a second
@@ -119,6 +120,7 @@ def _choose(scene: bpy.types.Scene, number: int) -> None:
     try:
         use_hdri(scene, Path(path))
         scene.irgspp.use_world = True
+        show_world(scene)
     except (IrgsppError, RuntimeError) as error:  # the latter is Blender's, for a file that is no image
         _tell(str(error).strip())
 

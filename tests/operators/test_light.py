@@ -83,3 +83,13 @@ def test_controls_of_other_worlds(scene):
     assert sockets(scene.world) == ["strength"]
     nodes.new("ShaderNodeBackground")
     assert sockets(scene.world) == []  # which of the two?
+
+
+def test_a_chosen_light_is_seen_in_material_preview(scene, hdri):
+    (shading,) = [area.spaces.active.shading for area in bpy.context.window.screen.areas if area.type == "VIEW_3D"]
+    shading.type, shading.use_scene_world = "SOLID", False
+    bpy.ops.irgspp.open_hdri(filepath=str(hdri))
+    assert not shading.use_scene_world  # the view of a modeller stays
+    shading.type = "MATERIAL"
+    bpy.ops.irgspp.open_hdri(filepath=str(hdri))
+    assert shading.use_scene_world
