@@ -3,14 +3,18 @@
 
 from __future__ import annotations
 
-import textwrap
+from collections.abc import Iterator
+from functools import lru_cache
 from typing import Any
 
+import blf
 import bpy
 
 from ..irgspp_addon.translations import translated
 
-LETTER = 6.3  # average width of a letter at scale 1, pixels; on the large side, so that lines are never cut off
+FONT = 0  # Blender's own, of its interface
+MARGIN, ICON = 72, 26  # pixels at scale 1 beside the text: tabs and borders, and an icon
+LEAST = 100.0  # width of a text at least, pixels at scale 1
 
 
 class SidebarPanel:
@@ -33,22 +37,50 @@ def say(layout: bpy.types.UILayout, context: bpy.types.Context, text: str, icon:
     """
     column = layout.column(align=True)
     column.scale_y = 0.8
-    for row, line in enumerate(textwrap.wrap(translated(text), max(8, int(width * letters(context, with_icon=icon != "NONE"))))):
+    size = context.preferences.ui_styles[0].widget.points
+    for row, line in enumerate(wrapped(translated(text), width * room(context, with_icon=icon != "NONE"), size)):
         column.label(text=line, icon=icon if row == 0 else ("NONE" if icon == "NONE" else "BLANK1"))
 
 
-def letters(context: bpy.types.Context, with_icon: bool = False) -> int:
-    """Return the number of letters that fit in a line of the sidebar; 40 where there is no sidebar.
+def room(context: bpy.types.Context, with_icon: bool = False) -> float:
+    """Return the width of a line of text in the sidebar, in pixels at scale 1; a usual one where there is no sidebar.
 
     Args:
         context: of the panel.
         with_icon: the line begins with an icon.
     """
-    region = context.region
-    if region is None:
-        return 40
-    scale = context.preferences.system.ui_scale
-    return max(16, int((region.width / scale - (98 if with_icon else 72)) / LETTER))
+    width = 280.0 if context.region is None else context.region.width / context.preferences.system.ui_scale
+    return max(LEAST, width - MARGIN - (ICON if with_icon else 0))
+
+
+@lru_cache(maxsize=512)
+def wrapped(text: str, width: float, size: float) -> tuple[str, ...]:
+    """Return the lines of a text, none of which is wider than it may be.
+
+    Args:
+        text: to wrap at its spaces; a longer word, such as a path, within itself.
+        width: of a line, pixels at scale 1.
+        size: of the interface's font.
+    """
+    blf.size(FONT, size)
+    lines = [""]
+    for word in text.split():
+        longer = f"{lines[-1]} {word}".strip()
+        if blf.dimensions(FONT, longer)[0] <= width:
+            lines[-1] = longer
+        else:
+            lines += _pieces(word, width)
+    return tuple(line for line in lines if line)
+
+
+def _pieces(word: str, width: float) -> Iterator[str]:
+    """Yield a word in pieces that fit in a line: itself where it fits."""
+    while word:
+        fits = len(word)
+        while fits > 1 and blf.dimensions(FONT, word[:fits])[0] > width:
+            fits -= 1
+        yield word[:fits]
+        word = word[fits:]
 
 
 def button(layout: bpy.types.UILayout, operator: str, text: str | None = None, icon: str = "NONE", **properties: Any) -> None:

@@ -5,13 +5,15 @@ import time
 from pathlib import Path
 from types import SimpleNamespace
 
+import blf
+import bpy
 import pytest
 from irgspp.irgspp_addon.jobs.job import Job
 from irgspp.panels import run_state
 from irgspp.panels.job_card import metrics_text, progress_text, total_text
 from irgspp.panels.jobs import job_when
 from irgspp.panels.phases import CAPTURE_NUMBERS, CAPTURE_STEPS, NUMBERS, SHARES, STEPS, phase_in_words, total_fraction
-from irgspp.panels.sidebar import letters, say, seconds_in_words
+from irgspp.panels.sidebar import room, say, seconds_in_words, wrapped
 from recording_layout import RecordingLayout
 
 CORE = Path(__file__).resolve().parents[2] / "core"
@@ -89,14 +91,25 @@ def test_when_a_job_was():
 
 @pytest.mark.parametrize("width", [120, 280, 600])
 def test_text_is_wrapped_to_the_width_and_no_word_is_lost(width):
-    context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=SimpleNamespace(system=SimpleNamespace(ui_scale=1.0)))
+    preferences = SimpleNamespace(system=SimpleNamespace(ui_scale=1.0), ui_styles=bpy.context.preferences.ui_styles)
+    context = SimpleNamespace(region=SimpleNamespace(width=width), preferences=preferences)
     text = "What was understood of the dataset, and its problems in words that are long enough for several lines."
     layout = RecordingLayout()
     say(layout, context, text, icon="INFO")
     lines = [entry[1] for entry in layout.drawn]
     assert " ".join(lines) == text
-    assert max(map(len, lines)) <= max(letters(context, with_icon=True), max(map(len, text.split())))
+    wide, most = [blf.dimensions(0, line)[0] for line in lines], room(context, with_icon=True)
+    assert max(wide) <= most
+    firsts = [blf.dimensions(0, f" {line.split()[0]}")[0] for line in lines[1:]]
+    assert all(before + first > most - 2 for before, first in zip(wide, firsts, strict=False)), "a word had room in the line before"
     assert [entry[2] for entry in layout.drawn] == ["INFO"] + ["BLANK1"] * (len(lines) - 1)
+
+
+def test_a_long_path_is_broken_within_itself():
+    path = "/home/somebody/photographs/of_a_chair_in_the_garden_that_was_taken_last_summer/transforms.json"
+    lines = wrapped(f"{path}: no such file", 150.0, 11.0)
+    assert "".join(lines).replace(" ", "") == f"{path}:nosuchfile" and len(lines) > 3
+    assert all(blf.dimensions(0, line)[0] <= 150 for line in lines)
 
 
 def test_run_state_reads_the_folder_at_most_twice_a_second(tmp_path, monkeypatch):
