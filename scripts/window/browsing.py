@@ -4,13 +4,16 @@
 from __future__ import annotations
 
 import os
+import time
 from collections.abc import Generator, Iterator
 from pathlib import Path
 from typing import Any
 
 import bpy
 import driver
+import timing
 
+FIRST_PICTURE = 10.0  # seconds from the start of a reconstruction to its first picture in the 3D View
 PAGE = 15  # steps of scrolling that are less than the height of the sidebar
 
 
@@ -125,6 +128,21 @@ def press_button(button: str, across: float = 0.4, part: str = "") -> Iterator[f
     yield 1.0
 
 
+def choose_hdri(image: str) -> Iterator[float]:
+    """Choose the second of the HDRIs by its thumbnail: a click on the chosen one, and a click in the pop-up.
+
+    Args:
+        image: name of the image of the pop-up.
+    """
+    before, place = bpy.context.scene.world, driver.region()
+    x, y = yield from reach("irgspp.open_hdri", across=0.25)
+    yield from driver.click_at(x, y + 70)  # the thumbnail above that button is none that Blender tells the name of
+    yield 5.0  # thumbnails are made in the background
+    driver.shot(image)
+    yield from driver.click_at(place.x + place.width - 720, y - 50)  # the second of eight in the pop-up's first row
+    yield from driver.wait(lambda: bpy.context.scene.world != before, 10)
+
+
 def engine_ready() -> Iterator[float]:
     """Choose the engine in the preferences and wait until it has been checked, which begins by itself."""
     bpy.context.preferences.addons[driver.MODULE].preferences.engine_python = driver.ENGINE
@@ -145,6 +163,41 @@ def started_job() -> Generator[float, None, Any]:
     queue = driver.extension_module("irgspp_addon.jobs.queue")
     yield from driver.wait(queue.running, 30)
     return queue.running()[0]
+
+
+def in_progress() -> list[bpy.types.Object]:
+    """Return what the scene shows of a running reconstruction."""
+    return [thing for thing in bpy.context.scene.objects if thing.name.endswith("(in progress)")]
+
+
+def first_picture(job: Any, image: str) -> Iterator[float]:
+    """Wait until the scene shows the first points of a reconstruction that was just started, and check how long that took.
+
+    Args:
+        job: the reconstruction.
+        image: name of the image of the window.
+    """
+    yield from driver.wait(lambda: job.finished or any(thing.visible_get() for thing in in_progress()), 600, step=0.1)
+    yield 0.3  # it is drawn
+    timing.within("first picture", time.time() - job.made, FIRST_PICTURE)
+    driver.shot(image)
+
+
+def trained(job: Any) -> Iterator[float]:
+    """Wait until a reconstruction has ended well, and check that nothing blocked Blender before its result arrived."""
+    slowest = timing.slowest_call()
+
+    def ended() -> bool:
+        """Return True at the job's end."""
+        nonlocal slowest
+        if not job.finished:
+            slowest = timing.slowest_call()
+        return job.finished
+
+    yield from driver.wait(ended, 1800, step=0.1)
+    assert job.state == "done" and not job.error, (job.state, job.error)
+    timing.check_never_blocked(slowest)
+    yield 2.0
 
 
 def new_world(name: str) -> bpy.types.World:

@@ -8,20 +8,20 @@ from __future__ import annotations
 
 import json
 import os
-import statistics
 import subprocess
 import sys
 import time
 import traceback
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
-from types import ModuleType
 
 import bpy
+import timing
+from extension import MODULE, extension_module  # noqa: F401 (offered to the stories)
 
 sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended by os._exit, without flushing
 OUTPUT, ENGINE = Path(sys.argv[-2]), sys.argv[-1]
-MODULE = "bl_ext.user_default.irgspp"  # name of the installed extension
+presses = 0  # of mouse buttons and keys so far
 STEP = 7  # pixels between places that are searched for a button: less than its height
 
 
@@ -47,55 +47,10 @@ def run_story(story: Callable[[], Iterator[float]]) -> None:
 def _end(error: str | None) -> None:
     """Write the result of the story and quit Blender."""
     partial = OUTPUT / "end.part"
-    slowest = {
-        name: f"{max(seconds) * 1000:.1f} ms, median {statistics.median(seconds) * 1000:.2f} ms of {len(seconds)}"
-        for name, seconds in _times.items()
-        if seconds
-    }
-    partial.write_text(json.dumps({"error": error, "slowest": slowest}, indent=1))
+    result = {"error": error, "figures": timing.figures, "slowest": timing.summary()}
+    partial.write_text(json.dumps(result, indent=1))
     os.replace(partial, OUTPUT / "end.json")
     bpy.app.timers.register(lambda: os._exit(0), first_interval=1.0)  # without asking about unsaved changes
-
-
-_times: dict[str, list[float]] = {}
-
-
-def time_calls(owner: object, name: str, label: str) -> None:
-    """Record the processor time of each call of a method: the time that Blender's interface is blocked.
-
-    Args:
-        owner: class or module.
-        name: name of the method.
-        label: label in the result.
-    """
-    method, seconds = getattr(owner, name), _times.setdefault(label, [])
-
-    def timed(*args: object) -> object:
-        """Call the method and record its time."""
-        began = time.thread_time()
-        try:
-            return method(*args)
-        finally:
-            seconds.append(time.thread_time() - began)
-
-    # Blender passes as many arguments as the method's code says it takes.
-    takes = {0: lambda: timed(), 2: lambda self, context: timed(self, context), 3: lambda self, context, event: timed(self, context, event)}
-    setattr(owner, name, takes[method.__code__.co_argcount])
-
-
-def time_callbacks() -> None:
-    """Time what blocks Blender: every panel's drawing, every operator's start, the polling of jobs, and the live image."""
-    for cls in extension_module("panels.registration").CLASSES:
-        for name in ("draw", "invoke"):
-            if name in vars(cls) and issubclass(cls, bpy.types.Panel | bpy.types.Operator):
-                time_calls(cls, name, f"{cls.__name__}.{name}")
-    time_calls(extension_module("irgspp_addon.jobs.queue"), "poll", "jobs.queue.poll")
-    time_calls(extension_module("irgspp_addon.relight.live_image"), "beat", "relight.live_image.beat")
-
-
-def extension_module(name: str) -> ModuleType:
-    """Return a loaded module of the extension by its name below the extension, such as `irgspp_addon.jobs.queue`."""
-    return sys.modules[f"{MODULE}.{name}"]
 
 
 def window() -> bpy.types.Window:
@@ -219,11 +174,15 @@ def click_at(x: float, y: float) -> Iterator[float]:
 
 def click_here(button: int = 1) -> None:
     """Click where the mouse is."""
+    global presses
+    presses += 1
     subprocess.Popen(["xdotool", "mousedown", str(button), "sleep", "0.15", "mouseup", str(button)])
 
 
 def key(name: str) -> None:
     """Press a key."""
+    global presses
+    presses += 1
     subprocess.Popen(["xdotool", "key", name])
 
 

@@ -3,6 +3,7 @@
 
     python scripts/build_extension.py -o dist
     python scripts/window/run.py --zip dist/irgspp-0.1.0.zip --engine .venv/bin/python -o images
+    python scripts/window/run.py ... --story story_eight_clicks     # from the open window to the relit demo, in at most 8 clicks
 
 Needs Linux with Blender, xdotool and ImageMagick (`import`); without a screen also Xvfb (`xvfb-run`). Blender starts with settings of its
 own in a temporary folder. Exit status: 0 done, 1 a step failed, 2 bad usage, 3 Blender ended or took too long.
@@ -107,6 +108,8 @@ def drive(args: argparse.Namespace) -> int:
         return 3
     result = json.loads(end.read_text())
     print(result["error"] or f"window: images in {args.output}", file=sys.stderr if result["error"] else sys.stdout)
+    for name, figure in result["figures"].items():
+        print(f"  {name}: {figure}")
     for name, time_taken in result["slowest"].items():
         print(f"  slowest {name}: {time_taken}")
     return 1 if result["error"] else 0

@@ -14,6 +14,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import bpy
 import browsing
 import driver
+import timing
 
 PATIENCE = 3000.0  # seconds for a capture, and for a reconstruction
 
@@ -26,7 +27,7 @@ def story() -> Iterator[float]:
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
-    driver.time_callbacks()
+    timing.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.engine_ready()
     yield from find_cameras(photographs)

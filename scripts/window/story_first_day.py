@@ -13,6 +13,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import bpy
 import browsing
 import driver
+import timing
 
 # Short schedules, so that the story ends in a minute or two; the photographs have 64x64 pixels.
 SETTINGS = "first.iterations=300 first.trial_iterations=60 first.gaussians=8000 surface.voxels=96 surface.triangles=8000"
@@ -25,7 +26,7 @@ def story() -> Iterator[float]:
     photographs = Path(shutil.copytree(demo, work / "monkey"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "first_day.blend"))  # so that the folder can be named relative to it
     driver.view3d().spaces[0].overlay.show_relationship_lines = False
-    driver.time_callbacks()
+    timing.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from set_up_engine()
     yield from look_at(photographs)
@@ -67,27 +68,21 @@ def reconstruct(run: Path) -> Iterator[float]:
     assert settings.run_path() == run
     yield from browsing.press_button("irgspp.reconstruct")
     job = yield from browsing.started_job()
-    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 300)
+    yield from browsing.first_picture(job, "07_first_picture")
+    yield from driver.wait(lambda: job.finished or (job.phase == "first stage" and job.fraction > 0.5 and job.preview), 600)
     yield 1.0
-    (points,) = in_progress()
+    (points,) = browsing.in_progress()
     assert len(points.data.vertices) > 500 and points.visible_get()
     driver.shot("07_running")
     driver.sidebar_shot("07_running_sidebar")
-    yield from driver.wait(lambda: job.finished or any(len(one.data.polygons) for one in in_progress()), 300)
+    yield from driver.wait(lambda: job.finished or any(len(one.data.polygons) for one in browsing.in_progress()), 600)
     yield 1.0
     driver.shot("07_surface")
-    yield from driver.wait(lambda: job.finished, 600)
-    assert not in_progress()
-    yield 2.0
-    assert job.state == "done" and not job.error, (job.state, job.error)
+    yield from browsing.trained(job)
+    assert not browsing.in_progress()
     yield 30.0  # shaders are compiled
     driver.shot("08_done")
     assert_arranged()
-
-
-def in_progress() -> list[bpy.types.Object]:
-    """Return what the scene shows of a running reconstruction."""
-    return [thing for thing in bpy.context.scene.objects if thing.name.endswith("(in progress)")]
 
 
 def assert_arranged() -> None:

@@ -13,6 +13,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import bpy
 import browsing
 import driver
+import timing
 
 # Schedules of seconds
 SETTINGS = (
@@ -27,7 +28,7 @@ def story() -> Iterator[float]:
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.engine_ready()
-    driver.time_callbacks()
+    timing.time_callbacks()
     shutil.copytree(Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data", work / "project" / "monkey")
     settings = bpy.context.scene.irgspp
     settings.dataset, settings.preset = str(work / "project" / "monkey"), "draft"

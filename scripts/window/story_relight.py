@@ -15,6 +15,7 @@ import bpy
 import browsing
 import driver
 import numpy as np
+import timing
 from mathutils import Vector
 
 
@@ -24,7 +25,7 @@ def story() -> Iterator[float]:
     run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "relight.blend"))
     browsing.open_panels("IRGSPP_PT_relight_files", "IRGSPP_PT_asset")
-    driver.time_callbacks()
+    timing.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.engine_ready()
     with driver.override():
@@ -70,13 +71,8 @@ def start_preview() -> Iterator[float]:
 
 def choose_thumbnail() -> Iterator[float]:
     """Choose one of Blender's HDRIs by its thumbnail."""
-    before, unchanged, place = bpy.context.scene.world, pixels(), driver.region()
-    x, y = yield from browsing.reach("irgspp.open_hdri", across=0.25)
-    yield from driver.click_at(x, y + 70)  # the thumbnail above that button is none that Blender tells the name of
-    yield 5.0  # thumbnails are made in the background
-    driver.shot("72_thumbnails")
-    yield from driver.click_at(place.x + place.width - 720, y - 50)  # the second of eight in the pop-up's first row
-    yield from driver.wait(lambda: bpy.context.scene.world != before, 10)
+    unchanged = pixels()
+    yield from browsing.choose_hdri("72_thumbnails")
     yield from updated(unchanged)
     driver.shot("73_other_hdri")
     driver.sidebar_shot("73_other_hdri_sidebar")

@@ -13,6 +13,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 import bpy
 import browsing
 import driver
+import timing
 
 
 def story() -> Iterator[float]:
@@ -21,7 +22,7 @@ def story() -> Iterator[float]:
     run = Path(shutil.copytree(os.environ["IRGSPP_RUN"], work / "spot"))
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "result.blend"))
     browsing.open_panels("IRGSPP_PT_bake", "IRGSPP_PT_relight_files")
-    driver.time_callbacks()
+    timing.time_callbacks()
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.engine_ready()
     yield from open_run(run)
