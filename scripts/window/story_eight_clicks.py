@@ -18,6 +18,7 @@ import numpy as np
 import timing
 
 MOST_CLICKS, MOST_SECONDS = 8, 180.0
+CHANGED, COLOURED = 0.05, 0.05  # mean difference of the background under another light, and of the object's red, green and blue
 TAB_STEP = 20  # pixels between places that are searched for the tab
 
 
@@ -91,16 +92,28 @@ def try_demo() -> Iterator[float]:
 
 
 def relight() -> Iterator[float]:
-    """Choose an HDRI by its thumbnail, and start the preview; wait until its image shows the object."""
+    """Choose an HDRI by its thumbnail, and wait until the 3D View shows it, and the coloured object under it."""
+    place = driver.region("WINDOW")
+    corner = pixels(place, 0.1, 0.1)
     yield from browsing.choose_hdri("94_thumbnails")
-    yield from browsing.press_button("irgspp.relight_preview")
-    live_image, preview = (driver.extension_module(f"irgspp_addon.relight.{name}") for name in ("live_image", "preview"))
-    follower = live_image.follower_of(preview.CHANNEL)
-    assert follower is not None, "the preview has not started"
-    yield from driver.wait(lambda: follower.done or follower.failed, 600, step=0.1)
-    assert not follower.failed, follower.message
-    pixels = np.array(bpy.data.images[preview.IMAGE].pixels[:]).reshape(-1, 4)
-    assert (pixels[:, 3] > 0.5).mean() > 0.02 and pixels[:, :3].std() > 0.02, "the image shows no object"
+    yield from driver.wait(lambda: np.abs(pixels(place, 0.1, 0.1) - corner).mean() > CHANGED, 300, step=0.5)
+    yield from driver.wait(lambda: np.ptp(pixels(place, 0.45, 0.4), axis=1).mean() > COLOURED, 300, step=0.5)
+
+
+def pixels(place: bpy.types.Region, x: float, y: float) -> np.ndarray:
+    """Return what is seen in a part of a region, a fifth of its width and height: (N, 3), encoded as on the screen.
+
+    Args:
+        place: the region.
+        x: left edge of the part, 0..1 of the region.
+        y: lower edge of the part, 0..1 of the region.
+    """
+    width, height = place.width // 5, place.height // 5
+    left, low = place.x + int(x * place.width), place.y + int(y * place.height)
+    image = bpy.data.images.load(str(driver.shot("part", (left, driver.window().height - low - height, width, height))))
+    values = np.array(image.pixels[:], np.float32).reshape(-1, 4)[:, :3]
+    bpy.data.images.remove(image)
+    return values
 
 
 driver.run_story(story)
