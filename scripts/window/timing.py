@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What a story measures: times that have limits, and how long calls block Blender's interface."""
+"""Measurements of a story: times that have limits, and how long calls block Blender's interface."""
 
 from __future__ import annotations
 
