@@ -10,6 +10,8 @@ from typing import Any
 import bpy
 import numpy as np
 
+WITH_SIDEBAR = ("VIEW_3D", "IMAGE_EDITOR")  # types of areas whose panels are in a sidebar
+
 
 def areas(*kinds: str) -> Iterator[bpy.types.Area]:
     """Yield the areas of these types (such as "VIEW_3D") in all windows; none in background mode."""
@@ -22,6 +24,14 @@ def redraw(*kinds: str) -> None:
     """Redraw all areas of these types."""
     for area in areas(*kinds):
         area.tag_redraw()
+
+
+def redraw_panels(*kinds: str) -> None:
+    """Redraw the panels in the areas of these types: of editors with a sidebar that alone, as drawing a scene may take long."""
+    for area in areas(*kinds):
+        for region in area.regions:
+            if region.type == "UI" or area.type not in WITH_SIDEBAR:
+                region.tag_redraw()
 
 
 def redraw_status_bar() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import bpy
 
-from ..windows import redraw, redraw_status_bar
+from ..windows import redraw_panels, redraw_status_bar
 from . import engine_check, queue, result_import, session
 
 BUSY_SECONDS, IDLE_SECONDS = 0.25, 1.0
@@ -35,7 +35,7 @@ def unregister() -> None:
 
 def _tick() -> float:
     if queue.poll():
-        redraw(*SHOWING)
+        redraw_panels(*SHOWING)
         redraw_status_bar()
     return BUSY_SECONDS if queue.unfinished() else IDLE_SECONDS
 

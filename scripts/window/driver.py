@@ -22,7 +22,7 @@ from extension import MODULE, extension_module  # noqa: F401 (offered to the sto
 sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended by os._exit, without flushing
 OUTPUT, ENGINE = Path(sys.argv[-2]), sys.argv[-1]
 presses = 0  # of mouse buttons and keys so far
-STEP = 7  # pixels between places that are searched for a button: less than its height
+STEP = 10  # pixels between places that are searched for a button: less than its height
 
 
 def run_story(story: Callable[[], Iterator[float]]) -> None:
