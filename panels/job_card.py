@@ -75,7 +75,9 @@ def draw_job(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job, r
         _draw_end(column, context, job, resume)
     else:
         _draw_progress(column, context, job)
-        _draw_stops(column, job)
+        _draw_stops(column, job)  # above what comes and goes, which would move them, often out of sight
+        if job.state != "queued":
+            _draw_findings(column, context, job)
 
 
 def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
@@ -86,12 +88,15 @@ def _draw_progress(layout: bpy.types.UILayout, context: bpy.types.Context, job: 
     layout.progress(factor=job.fraction, text=progress_text(job))
     if text := total_text(job, time.time()):
         layout.label(text=text)
+
+
+def _draw_findings(layout: bpy.types.UILayout, context: bpy.types.Context, job: Job) -> None:
+    if job.message:
+        say(layout, context, job.message, icon="INFO")
     if text := metrics_text(job):
         layout.label(text=text)
     if job.preview is not None:
         image(layout, job.preview)
-    if job.message:
-        say(layout, context, job.message, icon="INFO")
 
 
 def _draw_stops(layout: bpy.types.UILayout, job: Job) -> None:
