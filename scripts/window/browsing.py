@@ -177,6 +177,7 @@ def first_picture(job: Any, image: str) -> Iterator[float]:
         job: the reconstruction.
         image: name of the image of the window.
     """
+    timing.begin()
     yield from driver.wait(lambda: job.finished or any(thing.visible_get() for thing in in_progress()), 600, step=0.1)
     yield 0.3  # it is drawn
     timing.within("first picture", time.time() - job.made, FIRST_PICTURE)

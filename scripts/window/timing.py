@@ -15,6 +15,7 @@ LOAD = os.getloadavg()[0]  # processes that wanted to compute before the story b
 
 figures: dict[str, str] = {}  # what a story has measured, for its result
 _times: dict[str, list[float]] = {}  # seconds of each call, by its label
+_before: dict[str, int] = {}  # number of calls before `begin`, by label
 
 
 def within(name: str, seconds: float, limit: float) -> None:
@@ -32,9 +33,15 @@ def within(name: str, seconds: float, limit: float) -> None:
     assert seconds <= allowed, f"{name}: {figures[name]}"
 
 
+def begin() -> None:
+    """Begin to watch for slow calls: earlier ones do not count for `slowest_call`."""
+    _before.update({name: len(seconds) for name, seconds in _times.items()})
+
+
 def slowest_call() -> tuple[float, str]:
-    """Return the longest time so far for which a call has blocked Blender's interface, in seconds, and the call."""
-    return max(((max(seconds), name) for name, seconds in _times.items() if seconds), default=(0.0, "none"))
+    """Return the longest time since `begin` for which a call has blocked Blender's interface, in seconds, and the call."""
+    watched = {name: seconds[_before.get(name, 0) :] for name, seconds in _times.items()}
+    return max(((max(seconds), name) for name, seconds in watched.items() if seconds), default=(0.0, "none"))
 
 
 def check_never_blocked(call: tuple[float, str]) -> None:
