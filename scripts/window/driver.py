@@ -148,15 +148,30 @@ def wait(condition: Callable[[], object], timeout: float = 120.0, step: float = 
         yield step
 
 
-def move(x: float, y: float) -> None:
-    """Move the mouse, in two steps, because Blender looks for the button below when the mouse moves.
+def move(x: float, y: float) -> subprocess.Popen:
+    """Begin to move the mouse, in two steps, because Blender looks for the button below when the mouse moves; return the moving process.
 
     Args:
         x: pixels from the left.
         y: pixels from below.
     """
     top = window().height - y
-    subprocess.Popen(["xdotool", "mousemove", f"{x - 2:.0f}", f"{top - 1:.0f}", "sleep", "0.03", "mousemove", f"{x:.0f}", f"{top:.0f}"])
+    return subprocess.Popen(
+        ["xdotool", "mousemove", f"{x - 2:.0f}", f"{top - 1:.0f}", "sleep", "0.03", "mousemove", f"{x:.0f}", f"{top:.0f}"]
+    )
+
+
+def moved(x: float, y: float) -> Iterator[float]:
+    """Move the mouse, and wait until it is there, which takes a while on a busy machine.
+
+    Args:
+        x: pixels from the left.
+        y: pixels from below.
+    """
+    process = move(x, y)
+    while process.poll() is None:
+        yield 0.02
+    yield 0.12
 
 
 def click_at(x: float, y: float) -> Iterator[float]:
@@ -166,8 +181,8 @@ def click_at(x: float, y: float) -> Iterator[float]:
         x: pixels from the left.
         y: pixels from below.
     """
-    move(x, y)
-    yield 0.5
+    yield from moved(x, y)
+    yield 0.4
     click_here()
     yield 1.0
 
@@ -239,8 +254,7 @@ def find(
     place = region(kind, area)
     x, y = place.x + across * place.width, place.y + place.height - 4
     while y > place.y:
-        move(x, y)
-        yield 0.12
+        yield from moved(x, y)
         if is_button(under_mouse(kind, area), button, part):
             yield 0.5  # on a busy machine the answer may be about the place before
             if is_button(under_mouse(kind, area), button, part):
