@@ -16,6 +16,7 @@ from ..core.scene.lamps import Lamp, lamp_records
 from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.run_frame import chosen_run, frame_of, run_object
 from ..irgspp_addon.jobs import queue as jobs
+from ..irgspp_addon.properties import RELATIVE
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.left_out import seen_objects
 from ..irgspp_addon.relight.live_image import Follower
@@ -105,7 +106,7 @@ class IRGSPP_OT_world_to_map(bpy.types.Operator):
     bl_label = "World to Light Map"
     bl_options = {"REGISTER"}  # noqa: RUF012
 
-    filepath: StringProperty(name="File", subtype="FILE_PATH", options=SKIP)
+    filepath: StringProperty(name="File", subtype="FILE_PATH", options=SKIP | RELATIVE)
     height: IntProperty(name="Height", description="Rows of the map; it has twice as many columns", default=MAP_ROWS, min=2, max=8192)
     filter_glob: StringProperty(default="*.exr;*.npy", options={"HIDDEN"})
 
