@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The .blend of a run: complete, portable, and written by a separate process."""
 
+import shutil
+from pathlib import Path
+
 import bpy
 import pytest
 from irgspp.core.assets.blend_file import write_blend
 from irgspp.core.assets.export import export
-from irgspp.core.assets.options import AssetOptions
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.progress.protocol import Silent
@@ -55,13 +57,22 @@ def test_export_by_suffix(run_folder, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == ["light.exr", "scene.blend"]
 
 
+def write_library(run: Path, target: Path, textures: str) -> None:
+    """Write a run's .blend with this Blender, as the engine does: textures packed, or in a folder beside it."""
+    additions = []
+    if textures == "beside":
+        shutil.copytree(run / "textures", target.with_name("ball_textures"))
+        additions = ["--textures", str(target.with_name("ball_textures"))]
+    write_blend(run, target, "textures", Silent(), additions)
+
+
 @pytest.mark.parametrize("textures", ["packed", "beside"])
 @pytest.mark.parametrize("link", [False, True], ids=["appended", "overridden"])
 def test_the_collection_is_complete_in_a_file_of_another_folder(run_folder, tmp_path, textures, link):
     library, user = tmp_path / "library" / "ball.blend", tmp_path / "shots" / "one" / "shot.blend"
     library.parent.mkdir()
     user.parent.mkdir(parents=True)
-    export(run_folder, library, options=AssetOptions(textures=textures))
+    write_library(run_folder, library, textures)
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.ops.wm.save_as_mainfile(filepath=str(user))
     with bpy.data.libraries.load(str(library), link=link, relative=True) as (source, wanted):
@@ -84,9 +95,9 @@ def test_the_collection_is_complete_in_a_file_of_another_folder(run_folder, tmp_
     assert run_of(mesh) == run_folder and run_object(bpy.context.scene, run_folder) is not None
 
 
-@pytest.mark.parametrize("name", ["a.stl", "a", "missing/a.blend", "a.ply"])
+@pytest.mark.parametrize("name", ["a.stl", "a", "missing/a.blend"])
 def test_bad_exports_are_errors(run_folder, tmp_path, name):
-    with pytest.raises(InputError):  # the fake run has no gaussians.ply
+    with pytest.raises(InputError):
         export(run_folder, tmp_path / name)
     assert not list(tmp_path.iterdir())
 
