@@ -56,6 +56,11 @@ TEXTURE_SIZES = [
     ("4096", "4k", "Textures of 4096 x 4096 texels"),
     ("8192", "8k", "Textures of 8192 x 8192 texels"),
 ]
+BITS = [
+    ("0", "As Before", "As in the last bake"),
+    ("8", "8 Bits", "256 values, which every program reads"),
+    ("16", "16 Bits", "65,536 values: no steps in smooth gradients, twice the memory"),
+]
 NORMAL_MAPS = [
     ("opengl", "OpenGL", "Green is up, as in Blender, Unity and Godot"),
     ("directx", "DirectX", "Green is down, as in Unreal Engine; .fbx and .obj only"),
@@ -86,6 +91,12 @@ TEXTURE_SIZE: Definition = {
     "description": "Width and height of the textures. A size below that of the last bake is made from this bake at once, which is kept",
     "items": TEXTURE_SIZES,
     "default": "1024",
+}
+TEXTURE_BITS: Definition = {
+    "name": "Bits",
+    "description": "Bits of each value of albedo, roughness, metallic and normal textures. A .glb always has 8",
+    "items": BITS,
+    "default": "0",
 }
 TRIANGLES: Definition = {
     "name": "Max Triangles",

@@ -36,6 +36,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     size: IntProperty(
         name="Texture Size", description="Width and height of the textures in texels; 0: as in the last bake", default=0, min=0, max=16384
     )
+    bits: EnumProperty(**shared.TEXTURE_BITS)
     triangles: IntProperty(**shared.TRIANGLES)
     mesh: StringProperty(
         name="Edited Mesh",
@@ -62,6 +63,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
     def _arguments(self, context: bpy.types.Context, run: Path) -> list[str]:
         words = ["bake", str(run)]
         words += ["--size", str(self.size)] if self.size else []
+        words += ["--bits", self.bits] if self.bits != "0" else []
         words += ["--triangles", str(self.triangles)] if self.triangles else []
         words += ["--quads", str(self.quads)] if self.quads else []
         words += ["--height"] if self.height else []

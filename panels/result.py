@@ -64,7 +64,8 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         """Draw the options, the button and the job."""
         settings, edited = context.scene.irgspp, context.scene.irgspp.edited_mesh
         column = settings_column(self.layout)
-        column.row().prop(settings, "texture_size", expand=True)
+        for name in ("texture_size", "texture_bits"):
+            column.row().prop(settings, name, expand=True)
         quads = 0 if edited else settings.bake_quads  # an edited mesh is baked as it is
         triangles = 0 if edited or quads else settings.triangles
         for name, enabled in (("triangles", edited is None and not quads), ("bake_quads", edited is None)):
@@ -81,6 +82,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
             "TEXTURE",
             run=str(shown_run(context)),
             size=int(settings.texture_size),
+            bits=settings.texture_bits,
             triangles=triangles,
             quads=quads,
             mesh=edited.name if edited else "",

@@ -7,7 +7,7 @@ import dataclasses
 import shutil
 from pathlib import Path
 
-from ..io.image import image_size
+from ..io.image import image_size, png_bits
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.textures import load_textures
@@ -32,15 +32,28 @@ def baked_size(run: Path) -> int | None:
     return image_size(file)[0] if file.is_file() else None
 
 
-def is_made_from_bake(run: Path, size: int) -> bool:
+def baked_bits(run: Path) -> int | None:
+    """Return the bits of each value of a run's last bake, 8 or 16; None where it has no textures.
+
+    Raises:
+        InputError: if the texture can't be read.
+    """
+    file = bake_folder(run) / "albedo.png"
+    if not file.is_file():
+        return None
+    return 16 if png_bits(file) == 16 else 8  # as `load_texture` reads it
+
+
+def is_made_from_bake(run: Path, size: int, bits: int) -> bool:
     """Return True for a size that a run's bake gives without baking: a smaller one, or the bake's own while a smaller one is in use.
 
     Args:
         run: run folder.
         size: texels along a side.
+        bits: of each value; another number than the bake's is baked.
     """
     baked = baked_size(run)
-    return baked is not None and (size < baked or (size == baked and bake_folder(run).name == KEPT))
+    return baked is not None and baked_bits(run) == bits and (size < baked or (size == baked and bake_folder(run).name == KEPT))
 
 
 def mesh_at_size(run: Path, size: int) -> Mesh:

@@ -50,7 +50,7 @@ def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progr
         return
     with staged(target) as staging, tempfile.TemporaryDirectory() as scratch:
         textures = Path(scratch) / "textures" if packed else staging / f"{target.stem}_textures"
-        save_texture_set(run, textures, options.normal_map)
+        save_texture_set(run, textures, options.normal_map, eight=target.suffix.lower() == ".glb")  # which all viewers of glTF read
         job = {"textures": str(textures), "offset": (-foot(mesh)).tolist(), **asset_job(run, target.stem, options, Path(scratch), progress)}
         job["pack"] = packed
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")

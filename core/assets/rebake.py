@@ -27,7 +27,7 @@ from ..settings.schema import Settings, SurfaceSettings
 from ..surface.height import height_line
 from .blend_file import write_blend
 from .fitted_textures import texture_line, texture_state
-from .kept_bake import baked_size, drop_kept_bake, is_made_from_bake, keep_bake, mesh_at_size
+from .kept_bake import baked_bits, baked_size, drop_kept_bake, is_made_from_bake, keep_bake, mesh_at_size
 from .mesh_files import save_asset_glb
 from .rebaked_mesh import BakeTarget, rebaked_mesh
 
@@ -43,6 +43,7 @@ def bake(
     edited: Path | None = None,
     height: bool = False,
     quads: int | None = None,
+    bits: int | None = None,
 ) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
@@ -57,6 +58,7 @@ def bake(
         triangles: extract a new mesh from the Gaussians with at most so many.
         edited: PLY in the run's world frame that replaces the mesh, with its own UVs where it has any.
         quads: remesh the run's mesh to about so many quads, by Blender's QuadriFlow.
+        bits: of each value of the textures, 8 or 16; None: those of the last bake.
         height: also bake a texture of the height of the surface as it is fused above the mesh, where the mesh is reduced.
 
     Raises:
@@ -71,10 +73,11 @@ def bake(
     target.check()
     if state.get("status") == "running" or not (run / "mesh.ply").is_file():
         raise InputError(run, "is not a finished run", "finish the reconstruction first")
-    surface = dataclasses.replace(settings.surface, texture=size or baked_size(run) or settings.surface.texels)
+    bits = bits or baked_bits(run) or settings.surface.texture_bits
+    surface = dataclasses.replace(settings.surface, texture=size or baked_size(run) or settings.surface.texels, texture_bits=bits)
     surface = surface if triangles is None else dataclasses.replace(surface, triangles=triangles)
     settings = overrides.check(dataclasses.replace(settings, surface=surface))
-    kept = size is not None and target == BakeTarget() and is_made_from_bake(run, size)
+    kept = size is not None and target == BakeTarget() and is_made_from_bake(run, size, bits)
     if not kept:
         _check_fits(run, surface)
     folder = RunFolder(run, state, _lock(run))
@@ -97,8 +100,8 @@ def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: P
     mesh, report = _detailed(made.mesh, made.reconstruction, run, settings, str(folder.state["dataset"]), progress)
     _replace(run, mesh)
     drop_kept_bake(run)
-    folder.state["baked"] = {"texture": size, "triangles": len(mesh.faces), "mesh": str(edited) if edited else None, "quads": target.quads}
-    folder.state["baked"]["normal_noise"] = made.noise
+    folder.state["baked"] = {"texture": size, "bits": settings.surface.texture_bits, "triangles": len(mesh.faces)}
+    folder.state["baked"] |= {"mesh": str(edited) if edited else None, "quads": target.quads, "normal_noise": made.noise}
     folder.state["albedo_detail"] = report.state()
     folder.state["textures"] = texture_state(mesh, size, "as set for the last bake")
     folder.state["height"] = None if made.heights is None else made.heights.state()

@@ -9,21 +9,23 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.eight_bits import in_eight_bits
 from ..run_folder import read_run
-from ..scene.textures import CHANNELS, OPTIONAL, load_textures, occlusion_roughness_metallic, save_textures
+from ..scene.textures import CHANNELS, OPTIONAL, SIXTEEN_BITS, load_textures, occlusion_roughness_metallic, save_textures
 
 NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
 
 
-def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> None:
+def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl", eight: bool = False) -> None:
     """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic), confidences as PNG files.
 
-    A run with heights also gives height.png, and height.json with their scale and midlevel.
+    They have the bits of the run's textures. A run with heights also gives height.png, and height.json with their scale and midlevel.
 
     Args:
         run: folder of the finished run.
         folder: to write to.
         normal_map: "opengl" or "directx", whose green channel is the inverse.
+        eight: True to write 8 bits always, but for heights.
 
     Raises:
         InputError: if the run lacks a texture, or the scale of its heights.
@@ -32,6 +34,8 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> Non
     missing = [name for name in CHANNELS if name not in textures and name not in OPTIONAL]
     if missing:
         raise InputError(run / "textures", f"lacks {', '.join(f'{name}.png' for name in missing)}", "bake the run again")
+    if eight:
+        textures = {name: texture if name in SIXTEEN_BITS else in_eight_bits(texture) for name, texture in textures.items()}
     textures["orm"] = occlusion_roughness_metallic(textures)
     if normal_map == "directx":
         textures["normal"] = flipped_green(textures["normal"])
@@ -44,7 +48,7 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl") -> Non
 
 
 def flipped_green(normal: np.ndarray) -> np.ndarray:
-    """Convert a normal map (T, T, 3) uint8 between OpenGL's and DirectX's direction of +Y."""
+    """Convert a normal map (T, T, 3) uint8 or uint16 between OpenGL's and DirectX's direction of +Y."""
     flipped = normal.copy()
-    flipped[..., 1] = 255 - flipped[..., 1]
+    flipped[..., 1] = np.iinfo(normal.dtype).max - flipped[..., 1]
     return flipped

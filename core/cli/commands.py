@@ -242,7 +242,8 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
     with quick_imports():
         from ..assets.rebake import bake
 
-    bake(args.run, terminal, size=args.size, triangles=args.triangles, edited=args.mesh, height=args.height, quads=args.quads)
+    mesh = {"triangles": args.triangles, "edited": args.mesh, "quads": args.quads}
+    bake(args.run, terminal, size=args.size, bits=args.bits, height=args.height, **mesh)
     terminal.end_line()
     print(args.run)
     return 0

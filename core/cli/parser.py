@@ -151,6 +151,8 @@ def _add_bake(subparsers: Subparsers) -> None:
     _run_argument(one)
     size = "texels along a side, such as 4k; textures smaller than the last bake are made from it (default: bake its size again)"
     one.add_argument("--size", type=texels, metavar="N", help=size)
+    deep = "bits of each value of albedo, roughness, metallic and normal.png; a .glb always has 8 (default: as in the last bake)"
+    one.add_argument("--bits", type=int, choices=(8, 16), help=deep)
     one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most N triangles")
     one.add_argument(
         "--mesh", metavar="FILE", type=Path, help="PLY in the coordinates of the run's mesh.ply that replaces the mesh; its UVs are kept"

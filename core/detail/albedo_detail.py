@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.eight_bits import srgb_eight_bits
+from ..io.eight_bits import bits_of, srgb_quantised
 from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery
@@ -61,7 +61,8 @@ class AlbedoDetail:
     def __init__(self, mesh: Mesh, reconstruction: Reconstruction) -> None:
         self._mesh = mesh
         texture = mesh.textures["albedo"]
-        self._albedo = decode_srgb(np.arange(256, dtype=np.float32) / 255)[texture].astype(np.float32)
+        highest = np.iinfo(texture.dtype).max
+        self._albedo = decode_srgb(np.arange(highest + 1, dtype=np.float32) / highest)[texture].astype(np.float32)
         self._shading = VertexShading(*_lit(mesh, reconstruction))
         self._shaded: dict[str, tuple[ViewShading, float]] = {}
         self._shift: dict[str, np.ndarray] = {}
@@ -171,11 +172,12 @@ class AlbedoDetail:
         best = self.candidates.weight.max(1)
         usual = np.median(best[best > 0]) if (best > 0).any() else 1.0
         index = self._texels.index
-        colours = np.empty((len(index), 3), np.uint8)
+        texture = self._mesh.textures["albedo"]
+        colours = np.empty((len(index), 3), texture.dtype)
         for part in self._texels.chunks():
             certain = np.clip(best[part] / (CERTAIN_WEIGHT_RATIO * usual), 0, 1)[:, None]
             plain = self._albedo.reshape(-1, 3)[index[part]]
-            colours[part] = srgb_eight_bits(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain)
+            colours[part] = srgb_quantised(certain * np.clip(albedo[part], 0, 1) + (1 - certain) * plain, bits_of(texture))
         return replace(self._mesh, textures={**self._mesh.textures, "albedo": self._texels.image(colours)})
 
     def report(self, photographs: int, evidence: Evidence, applied: bool, why: str) -> DetailReport:

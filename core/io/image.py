@@ -65,6 +65,20 @@ def image_size(path: Path) -> tuple[int, int]:
     return width, height
 
 
+def png_bits(path: Path) -> int | None:
+    """Return the bits of each value of a PNG from its header, such as 8 or 16; None for another file.
+
+    Raises:
+        InputError: if the file can't be read.
+    """
+    try:
+        with path.open("rb") as file:
+            head = file.read(26)
+    except OSError as error:
+        raise InputError(path, f"can't be read ({error.strerror})") from error
+    return head[24] if head[:8] == PNG_SIGNATURE and head[12:16] == b"IHDR" and len(head) == 26 else None
+
+
 def _raster_size(path: Path) -> tuple[int, int]:
     try:
         with Image.open(path, formats=("PNG", "JPEG")) as image:
@@ -120,7 +134,7 @@ def _decode(path: Path, data: bytes) -> np.ndarray:
         with Image.open(BytesIO(data), formats=("PNG", "JPEG")) as image:
             image.load()
             deep = data[:8] == PNG_SIGNATURE and data[24] == 16
-            pixels = _decode_deep(data) if deep else np.asarray(_eight_bit(image))
+            pixels = decode_deep_png(data) if deep else np.asarray(_eight_bit(image))
     except Exception as error:  # see _raster_size
         raise InputError(path, f"unreadable or truncated image ({_reason(error)})") from error
     return pixels.reshape(*pixels.shape[:2], -1)
@@ -132,8 +146,15 @@ def _eight_bit(image: Image.Image) -> Image.Image:
     return image.convert("RGBA" if "transparency" in image.info or image.mode in ("PA", "RGBa", "La") else "RGB")
 
 
-def _decode_deep(data: bytes) -> np.ndarray:
-    """Decode a 16-bit PNG with OpenCV to (H, W) or (H, W, 1..4) uint16, since Pillow keeps only 8 bits of its colours."""
+def decode_deep_png(data: bytes) -> np.ndarray:
+    """Decode a 16-bit PNG with OpenCV to (H, W) or (H, W, 1..4) uint16, since Pillow keeps only 8 bits of its colours.
+
+    Args:
+        data: content of the file.
+
+    Raises:
+        ValueError: if it can't be decoded.
+    """
     pixels = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
     if pixels is None:
         raise ValueError("not decodable")

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..io.eight_bits import eight_bits
+from ..io.eight_bits import eight_bits, in_eight_bits
 from ..io.srgb import decode_srgb, encode_srgb
 from ..run_folder import read_run
 from ..scene.mesh import Mesh
@@ -86,7 +86,7 @@ def load_albedo_texture(run: Path, mesh: Mesh, device: torch.device | str = "cpu
     """
     detail = read_run(run).get("albedo_detail") if (run / "run.json").is_file() else None
     texture = load_texture(run / "textures", "albedo") if detail and detail.get("applied") else None
-    return None if texture is None or not len(mesh.uvs) else AlbedoTexture(texture, mesh, device)
+    return None if texture is None or not len(mesh.uvs) else AlbedoTexture(in_eight_bits(texture), mesh, device)
 
 
 def _levels(texture: np.ndarray) -> list[np.ndarray]:

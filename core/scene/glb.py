@@ -13,7 +13,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from ..io.atomic import write_atomic
-from ..io.eight_bits import eight_bits
+from ..io.eight_bits import eight_bits, in_eight_bits
 from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 
@@ -59,6 +59,7 @@ def _y_up(vectors: np.ndarray) -> np.ndarray:
 
 
 def _textured(textures: dict[str, np.ndarray]) -> PBRMaterial:
+    textures = {name: in_eight_bits(texture) for name, texture in textures.items()}  # which all viewers of glTF read
     packed = Image.fromarray(occlusion_roughness_metallic(textures))
     return PBRMaterial(
         name="material",

@@ -18,9 +18,9 @@ class Mesh:
         uvs: (V, 2) float32 in 0..1, v = 0 at the bottom of the image (Blender, glTF flips it).
         faces: (F, 3) int32, counter-clockwise seen from outside.
         albedo: (V, 3) float32 linear 0..1; roughness, metallic: (V,) float32 in 0..1.
-        textures: "albedo" (T, T, 3) uint8 sRGB, "roughness" and "metallic" (T, T) uint8, "normal" (T, T, 3) uint8
-            tangent-space (OpenGL, +Y up), "confidence" (T, T) and "material_confidence" (T, T, 3) uint8, "height" (T, T) uint16, see
-            `HeightMap`; row 0 is the top of the image. Empty where nothing was baked.
+        textures: "albedo" (T, T, 3) sRGB, "roughness" and "metallic" (T, T), "normal" (T, T, 3) tangent-space (OpenGL, +Y up), these
+            uint8 or uint16; "confidence" (T, T) and "material_confidence" (T, T, 3) uint8, "height" (T, T) uint16, see `HeightMap`;
+            row 0 is the top of the image. Empty where nothing was baked.
         confidence: (V,) float32, 0 where no view sees the vertex, 0.5 for one view straight at it, towards 1 with their number; or None
             where it is not known.
         material_confidence: (V, 3) float32 of albedo, roughness and metallic, in 0..1, see `Reconstruction`; 0 where no view sees the

@@ -180,6 +180,8 @@ def _parse_plain(kind: Any, text: str) -> Any:
         return tuple(_parse_plain(k, p.strip()) for k, p in zip(kinds, parts, strict=True))
     if kind is bool:
         return TRUTH[text.lower()]
+    if get_origin(kind) is Literal:
+        return next((choice for choice in get_args(kind) if str(choice) == text), text)  # choices can be numbers
     return kind(text) if kind in (int, float) else text
 
 

@@ -131,6 +131,7 @@ class SurfaceSettings:
     texture: Annotated[int | None, Range(16, 16384)] = None
     texture_least: Annotated[int, Range(16, 16384)] = 1024  # also where the photographs are no larger than the working resolution
     texture_most: Annotated[int, Range(16, 16384)] = 4096
+    texture_bits: Literal[8, 16] = 8  # of each value of albedo, roughness, metallic and normal
 
     @property
     def texels(self) -> int:

@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..io.eight_bits import eight_bits, sixteen_bits, srgb_eight_bits
+from ..io.eight_bits import bits_of, quantised, srgb_quantised
 from ..io.srgb import decode_srgb
 from ..scene.mesh import Mesh
 from .mesh_texels import CoveredTexels, texel_owners
@@ -44,9 +44,8 @@ def _reduced(name: str, texture: np.ndarray, covered: np.ndarray, share: np.ndar
     sums = [_area_means(levels[channels[..., c]] * covered, size)[known] for c in range(channels.shape[-1])]
     means = np.stack(sums, -1) / share[known][:, None]
     if name == "normal":
-        return eight_bits(0.5 + 0.5 * unit(2 * means - 1))
-    encode = srgb_eight_bits if name == "albedo" else eight_bits if texture.dtype == np.uint8 else sixteen_bits
-    encoded = encode(means)
+        return quantised(0.5 + 0.5 * unit(2 * means - 1), bits_of(texture))
+    encoded = (srgb_quantised if name == "albedo" else quantised)(means, bits_of(texture))
     return encoded[:, 0] if texture.ndim == 2 else encoded
 
 

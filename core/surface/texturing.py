@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import Cancelled
-from ..io.eight_bits import eight_bits, srgb_eight_bits
+from ..io.eight_bits import eight_bits, quantised, srgb_quantised
 from ..progress.protocol import Progress
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.mesh import Mesh
@@ -164,24 +164,24 @@ def baked_textures(
         views: G-buffers of the reconstruction.
         samples: its Gaussians, for parts that no view sees.
         voxel: resolution of the surface, world units.
-        settings: texture size and strength of the normal detail.
+        settings: size and bits of the textures, and strength of the normal detail.
         step: called with the number of views done; may raise.
         noise: largest noise of normals, see `surface_noise`; None for no limit.
 
     Returns:
-        Images by name as in `Mesh.textures`, uint8: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness,
-        metallic and confidence (see `Mesh`), and where it is known (S, S, 3) material_confidence.
+        Images by name as in `Mesh.textures`: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness and metallic, uint8
+        or uint16; (S, S) confidence (see `Mesh`), and where it is known (S, S, 3) material_confidence, uint8.
     """
-    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texels)
+    texels, bits = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, settings.texels), settings.texture_bits
     normals = texels.interpolated(mesh.normals, mesh.faces)
     for part in texels.chunks():
         normals[part] = meshing.unit(normals[part])
     fused = fuse_materials(texels.interpolated(mesh.vertices, mesh.faces), normals, views, samples, voxel, step)
     images = {
-        "albedo": texels.image(srgb_eight_bits(fused.albedo)),
-        "roughness": texels.image(eight_bits(fused.roughness)),
-        "metallic": texels.image(eight_bits(fused.metallic)),
-        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings.detail, noise)),
+        "albedo": texels.image(srgb_quantised(fused.albedo, bits)),
+        "roughness": texels.image(quantised(fused.roughness, bits)),
+        "metallic": texels.image(quantised(fused.metallic, bits)),
+        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings, noise)),
         "confidence": texels.image(eight_bits(fused.confidence)),
     }
     if fused.material_confidence is not None:
@@ -190,17 +190,17 @@ def baked_textures(
 
 
 def _normal_codes(
-    mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, strength: float, limit: float | None
+    mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, settings: SurfaceSettings, limit: float | None
 ) -> np.ndarray:
-    """Return the normals of P texels with detail as codes (P, 3) uint8 in tangent space; `normals` (P, 3) are the mesh's."""
+    """Return the normals of P texels with detail as codes (P, 3) uint8 or uint16 in tangent space; `normals` (P, 3) are the mesh's."""
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
-    seen, codes = fused.weight > 0, np.empty(normals.shape, np.uint8)
+    seen, codes = fused.weight > 0, np.empty(normals.shape, np.dtype(f"u{settings.texture_bits // 8}"))
     noise = limited(normal_noise(normals, fused.normal, seen), limit)
     for part in texels.chunks():
         normal = normals[part].astype(np.float64)
-        detailed = np.where(seen[part, None], add_normal_detail(normal, fused.normal[part], noise, strength), normal)
+        detailed = np.where(seen[part, None], add_normal_detail(normal, fused.normal[part], noise, settings.detail), normal)
         side = frames[mesh.faces[texels.face[part], 0], 3]
         tangent = texels.interpolate(frames[:, :3], mesh.faces, part)
         tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
-        codes[part] = eight_bits(0.5 + 0.5 * tangent_space(detailed, normal, tangent, side))
+        codes[part] = quantised(0.5 + 0.5 * tangent_space(detailed, normal, tangent, side), settings.texture_bits)
     return codes

@@ -56,13 +56,16 @@ def test_other_size_and_fewer_triangles_come_into_the_scene_from_a_job(run):
     thing, blocks = bpy.data.objects["tiny"], len(bpy.data.images)
     bpy.data.materials["tiny"].irgspp_source = "attributes"
     assert texture_size() == 64 and triangles(thing) > 200
-    assert bpy.ops.irgspp.bake(size=32, triangles=200, wait=False) == {"FINISHED"}  # of the active object's run
+    assert bpy.ops.irgspp.bake(size=32, bits="16", triangles=200, wait=False) == {"FINISHED"}  # of the active object's run
     job = jobs.wait(jobs.all_jobs()[0], timeout=300)
     assert (job.kind, job.state, job.error) == ("bake", "done", None)
     assert texture_size() == 32 and len(bpy.data.images) == blocks
     assert bpy.data.objects["tiny"] == thing and source_of(thing.active_material) == "attributes"
     assert triangles(thing) <= 200
-    assert json.loads((run / "run.json").read_text())["baked"]["texture"] == 32
+    baked = json.loads((run / "run.json").read_text())["baked"]
+    assert (baked["texture"], baked["bits"]) == (32, 16)
+    nodes = bpy.data.materials["tiny"].node_tree.nodes
+    assert all(nodes[f"{name} texture"].image.is_float for name in ("albedo", "roughness", "metallic", "normal"))  # which 8 bits are not
 
 
 def test_smaller_textures_come_from_the_bake_and_the_bake_comes_back(run):

@@ -117,6 +117,13 @@ def test_heights_are_baked_where_they_are_chosen(settings, run_folder):
     assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["height"] is True
 
 
+def test_bits_are_those_of_the_last_bake_until_others_are_chosen(settings, run_folder):
+    settings.run = str(finished_run(run_folder))
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["bits"] == "0"
+    settings.texture_bits = "16"
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["bits"] == "16"
+
+
 def test_each_size_up_to_the_bake_has_a_button(settings, run_folder):
     settings.run = str(finished_run(run_folder, textures={"size": 1024, "baked": 4096}))
     drawn = draw(result.IRGSPP_PT_result).buttons("irgspp.bake")

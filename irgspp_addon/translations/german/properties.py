@@ -178,6 +178,18 @@ TEXTS: dict[str, str] = {
     "Textures of 2048 x 2048 texels": "Texturen von 2048 x 2048 Texeln",
     "Textures of 4096 x 4096 texels": "Texturen von 4096 x 4096 Texeln",
     "Textures of 8192 x 8192 texels": "Texturen von 8192 x 8192 Texeln",
+    "Bits": "Bits",
+    "Bits of each value of albedo, roughness, metallic and normal textures. A .glb always has 8": (
+        "Bits jedes Werts der Texturen von Albedo, Rauheit, Metall und Normalen. Eine .glb-Datei hat immer 8"
+    ),
+    "As Before": "Wie zuvor",
+    "As in the last bake": "Wie beim letzten Backen",
+    "8 Bits": "8 Bit",
+    "256 values, which every program reads": "256 Werte, die jedes Programm liest",
+    "16 Bits": "16 Bit",
+    "65,536 values: no steps in smooth gradients, twice the memory": (
+        "65.536 Werte: keine Stufen in sanften Verläufen, doppelter Speicher"
+    ),
     "Max Triangles": "Dreiecke höchstens",
     "Make a new mesh of at most so many triangles; 0 keeps the mesh as it is": (
         "Ein neues Mesh aus höchstens so vielen Dreiecken bilden; 0 lässt das Mesh, wie es ist"

@@ -13,6 +13,7 @@ from irgspp.core.assets.export import export
 from irgspp.core.assets.options import AssetOptions
 from irgspp.core.assets.texture_set import flipped_green, save_texture_set
 from irgspp.core.errors import InputError, IrgsppError
+from irgspp.core.io.image import decode_deep_png
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
@@ -68,6 +69,22 @@ def test_directx_normals_have_the_other_green(run, tmp_path):
     found = load_textures(tmp_path / "set")["normal"]
     assert found[3, 4].tolist() == [200, 165, 210]
     np.testing.assert_array_equal(flipped_green(found), normal)
+
+
+@pytest.mark.parametrize(("eight", "kind"), [(False, np.uint16), (True, np.uint8)])
+def test_sets_of_sixteen_bits(run, tmp_path, eight, kind):
+    deep = {name: 257 * texture.astype(np.uint16) + 9 for name, texture in load_textures(run / "textures").items()}
+    deep = {name: np.where(texture > 65535 - 9, 65535, texture).astype(np.uint16) for name, texture in deep.items()}
+    save_textures({**deep, "height": deep["roughness"]}, run / "textures")
+    (run / "run.json").write_text(json.dumps({"settings": {}, "phases": {}, "height": {"scale": 1.0, "midlevel": 0.5}}))
+    save_texture_set(run, tmp_path / "set", "directx", eight)
+    found = load_textures(tmp_path / "set")
+    orm = decode_deep_png((tmp_path / "set" / "orm.png").read_bytes())  # as it is stored, of 8 or 16 bits
+    assert found["normal"].dtype == found["albedo"].dtype == orm.dtype == kind and found["height"].dtype == np.uint16
+    highest = np.iinfo(kind).max
+    assert (orm[..., 0] == highest).all()
+    np.testing.assert_allclose(found["normal"][..., 1] / highest, 1 - deep["normal"][..., 1] / 65535, atol=0.6 / highest)
+    np.testing.assert_allclose(orm[..., 1] / highest, deep["roughness"] / 65535, atol=0.6 / highest)
 
 
 def test_missing_texture_is_named(run, tmp_path):

@@ -81,6 +81,7 @@ ADDED |= {
     "surface.unmasked_triangles",
     "surface.texture_least",
     "surface.texture_most",
+    "surface.texture_bits",
 }
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {

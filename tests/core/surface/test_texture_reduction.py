@@ -64,3 +64,12 @@ def test_heights_are_averaged_in_sixteen_bits() -> None:
     heights[:, 1::2] = 30_101
     small = reduced_textures(square(0, 1, albedo=stripes(9, 9), height=heights), SIZE // 2)["height"]
     assert small.dtype == np.uint16 and (np.abs(small.astype(int) - 30_051) <= 1).all()
+
+
+def test_sixteen_bits_are_averaged_as_finely() -> None:
+    deep = {"albedo": 257 * stripes(40, 200).astype(np.uint16), "roughness": stripes(0, 1)[..., 0].astype(np.uint16)}
+    small = reduced_textures(square(0, 1, **deep, normal=np.full((SIZE, SIZE, 3), 40000, np.uint16)), SIZE // 2)
+    assert {texture.dtype for texture in small.values()} == {np.dtype(np.uint16)}
+    mean = decode_srgb(np.array([40, 200]) / 255).mean()
+    assert np.abs(small["albedo"] - 65535 * encode_srgb(mean)).max() <= 1
+    assert np.abs(small["normal"] / 65535 - (0.5 + 0.5 / np.sqrt(3))).max() < 1e-4

@@ -110,6 +110,17 @@ def test_normal_texture_of_a_smooth_solid_is_nearly_flat(made):
     np.testing.assert_allclose(np.linalg.norm(normal, axis=-1), 1, atol=0.02)
 
 
+def test_sixteen_bits_hold_what_eight_round(few):
+    surface, views, samples = few
+    eight, sixteen = (
+        textured_mesh(surface, views, samples, replace(SETTINGS, texture=32, texture_bits=bits), Silent()).textures for bits in (8, 16)
+    )
+    for name in ("albedo", "roughness", "metallic", "normal"):
+        assert sixteen[name].dtype == np.uint16
+        assert np.abs(sixteen[name] / 257 - eight[name]).max() <= 0.51  # half a step of 8 bits, and of 16
+    assert len(np.unique(sixteen["albedo"] % 257)) > 200 and sixteen["confidence"].dtype == np.uint8
+
+
 def shaded_normals(mesh, size):
     """Return the points (P, 3) at the texels, and the normals (P, 3) that a renderer makes of the normal texture there."""
     texels, frames = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, size), tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
