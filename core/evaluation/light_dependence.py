@@ -113,12 +113,12 @@ def _light_of_directions(reconstruction: Reconstruction, hits: PrimaryHits, trac
     shift, count = pixel_shifts(hits.index, hits.camera.width), sum(SAMPLES)
     drawn = draw(hits.view, hits.normal, hits.roughness, SAMPLES, LightDistribution(reconstruction.environment), shift)
     view = bend_view_to_normal(hits.view, hits.normal)
-    cosine, lobe, power = specular_lobe(view, hits.normal, ggx_alpha(hits.roughness), drawn.direction)
+    cosine, lobe, weight = specular_lobe(view, hits.normal, ggx_alpha(hits.roughness), drawn.direction)
     metallic = hits.metallic[:, None]
     f0 = base_reflectance(hits.albedo, metallic).mean(1, keepdim=True)
     passed = diffuse_fraction((view * hits.normal).sum(1), hits.roughness)[:, None]
     diffuse = (1 - metallic) * hits.albedo.mean(1, keepdim=True) * passed / math.pi
-    reflected = (diffuse + (f0 + (1 - f0) * power) * lobe) * cosine.clamp_min(0) / (count * drawn.density)
+    reflected = (diffuse + (f0 + (1 - f0) * weight) * lobe) * cosine.clamp_min(0) / (count * drawn.density)
     direction, light = drawn.direction.reshape(-1, 3), (hits.alpha[:, None] * reflected).flatten()
     above = torch.nonzero(light > 0)[:, 0]
     origin = tracer.above(hits.point, hits.normal)[above // count].contiguous()

@@ -5,7 +5,7 @@ For P points the transport is precomputed in a fixed set of D directions, `subs`
 and the radiance that arrives from other surfaces (`TracedDirections`). Directions run over texels first, then over their
 subdivisions. The lobe is split where Fresnel adds to F0,
 
-    f_s = F0 D V (1 - p) + D V p,  p = (1 - v.h)^5,
+    f_s = F0 D V (1 - w) + D V w,  w the Fresnel weight (`constants.FRESNEL`),
 
 so that both parts are linear in the light and independent of the albedo.
 

@@ -39,7 +39,7 @@ def weighted_sums(
 ) -> torch.Tensor:
     """Average incoming light over samples, weighted for the diffuse lobe and for the two parts of the specular lobe.
 
-    The weights are n.l / q, (n.l / q) D V (1 - p) and (n.l / q) D V p with p = (1 - v.h)^5: diffuse, scaled by F0, added by Fresnel.
+    The weights are n.l / q, (n.l / q) D V (1 - w) and (n.l / q) D V w with the Fresnel weight w: diffuse, scaled by F0, added by Fresnel.
 
     Args:
         view: (P, 3) unit, n.v > 0.

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Microfacet BRDFs: that of the whole project ("principled"), and that of the baseline IRGS ("irgs").
 
-principled: GGX distribution, height-correlated Smith masking-shadowing, Schlick's Fresnel.
+principled: GGX distribution, height-correlated Smith masking-shadowing, Fresnel's equations for an index of
+refraction of 1.5, as in Blender's Principled BSDF (`constants.FRESNEL`).
 f = (1 - m) a / pi + F D V,  F0 = 0.04 (1 - m) + m a,  V = G / (4 n.l n.v),  alpha = roughness^2
 irgs: no metal. f = a / pi + F alpha^2 / clamp(4 pi ((n.h)^2 (alpha^2 - 1) + 1)^2 g(n.v) g(n.l), 1e-6, 4 pi), F0 = 0.04,
 g(x) = x (1 - k) + k with k = (roughness + 1)^2 / 8 (Schlick's masking)
@@ -13,7 +14,7 @@ import math
 
 import torch
 
-from ..kernels.constants import DIELECTRIC_F0, IRGS_DENOMINATOR, IRGS_FRESNEL, LEAST_ALPHA
+from ..kernels.constants import DIELECTRIC_F0, FRESNEL, IRGS_DENOMINATOR, IRGS_FRESNEL, LEAST_ALPHA
 
 COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
 
@@ -58,14 +59,16 @@ def smith_visibility(n_l: torch.Tensor, n_v: torch.Tensor, alpha: torch.Tensor) 
     return 0.5 / (lambda_v + lambda_l).clamp_min(1e-7)
 
 
-def schlick(v_h: torch.Tensor, f0: torch.Tensor) -> torch.Tensor:
-    """Return the Fresnel reflectance (Schlick 1994).
+def fresnel_weight(v_h: torch.Tensor) -> torch.Tensor:
+    """Return w of the Fresnel reflectance F = F0 + (1 - F0) w; a metal takes the same w, by which its F differs from Schlick's by 1 %.
 
     Args:
         v_h: (...,) cosine between view direction and half vector.
-        f0: (...,) reflectance at normal incidence, broadcast against `v_h`.
     """
-    return f0 + (1 - f0) * (1 - v_h).clamp(0, 1) ** 5
+    x, polynomial = (1 - v_h).clamp(0, 1), 0.0
+    for factor in reversed(FRESNEL):
+        polynomial = polynomial * x + factor
+    return x**3 * polynomial
 
 
 def base_reflectance(albedo: torch.Tensor, metallic: torch.Tensor) -> torch.Tensor:
@@ -104,7 +107,7 @@ def specular_lobe(
         direction: (P, N, 3) unit, towards the light.
 
     Returns:
-        Three (P, N) tensors: n.l; D V, zero where n.l <= 0; Schlick's (1 - v.h)^5.  F D V = (F0 + (1 - F0) power) D V.
+        Three (P, N) tensors: n.l; D V, zero where n.l <= 0; the Fresnel weight w.  F D V = (F0 + (1 - F0) w) D V.
     """
     alpha = alpha[:, None]
     n_l = torch.einsum("pnc,pc->pn", direction, normal)
@@ -115,8 +118,7 @@ def specular_lobe(
     above = n_l > 0
     cosine = torch.where(above, n_l, 1.0)
     value = ggx_of_sine((tangential * tangential).sum(-1) / length2, alpha) * smith_visibility(cosine, n_v, alpha)
-    power = (1 - 0.5 * length2.sqrt()).clamp(0, 1) ** 5  # |half| = 2 v.h
-    return n_l, torch.where(above, value, 0.0), power
+    return n_l, torch.where(above, value, 0.0), fresnel_weight(0.5 * length2.sqrt())  # |half| = 2 v.h
 
 
 def irgs_lobe(
@@ -131,7 +133,7 @@ def irgs_lobe(
         direction: (P, N, 3) unit, towards the light.
 
     Returns:
-        Three (P, N) tensors as of `specular_lobe`: n.l; the lobe, zero where n.l <= 0; the power that stands for (1 - v.h)^5.
+        Three (P, N) tensors as of `specular_lobe`: n.l; the lobe, zero where n.l <= 0; the Fresnel weight.
     """
     half = torch.nn.functional.normalize(direction + view[:, None], dim=-1)
     cosine, n_h = (torch.einsum("pnc,pc->pn", vector, normal) for vector in (direction, half))

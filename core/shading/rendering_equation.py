@@ -103,9 +103,11 @@ def irgs_sums(
     return _lobe_sums(*irgs_lobe(view, normal, roughness, direction), density, incoming)
 
 
-def _lobe_sums(n_l: torch.Tensor, value: torch.Tensor, power: torch.Tensor, density: torch.Tensor, incoming: torch.Tensor) -> torch.Tensor:
-    """Average incoming light, weighted by the cosine (P, N) and by the parts of a lobe with this value and Fresnel's power, (P, N) each."""
+def _lobe_sums(
+    n_l: torch.Tensor, value: torch.Tensor, fresnel: torch.Tensor, density: torch.Tensor, incoming: torch.Tensor
+) -> torch.Tensor:
+    """Average incoming light, weighted by the cosine (P, N) and by the parts of a lobe with this value and Fresnel weight, (P, N) each."""
     weight = n_l.clamp_min(0) / (density * density.shape[1])
     value = value * weight
-    bias = value * power
+    bias = value * fresnel
     return torch.stack([weight, value - bias, bias], 1) @ incoming

@@ -8,7 +8,7 @@ from functools import cache
 import torch
 
 from ..settings.schema import Brdf
-from .brdf import DIELECTRIC_F0, ggx_alpha, irgs_lobe, sample_visible_normal, schlick, smith_visibility, visible_normal_density
+from .brdf import DIELECTRIC_F0, fresnel_weight, ggx_alpha, irgs_lobe, sample_visible_normal, smith_visibility, visible_normal_density
 
 TABLE = 64  # entries along either axis
 SAMPLES = 512  # per entry of the table: errors of 2e-4; twice as many would add a second to each start
@@ -35,7 +35,7 @@ def _table_row(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
     # f cos / p = F G2 / G1, with G1 of the visible-normal density
     g1 = 2 * n_v / (n_v + (alpha**2 + (1 - alpha**2) * n_v**2).sqrt())
     ratio = torch.where(n_l > 0, smith_visibility(n_l.clamp_min(1e-9), n_v, alpha) * 4 * n_l * n_v / g1, 0.0)
-    fresnel = schlick(v_h, torch.zeros(1, dtype=torch.float64))
+    fresnel = fresnel_weight(v_h)
     return torch.stack([(ratio * (1 - fresnel)).mean(-1), (ratio * fresnel).mean(-1)], -1)
 
 
@@ -44,9 +44,9 @@ def _irgs_row(n_v: torch.Tensor, roughness: torch.Tensor) -> torch.Tensor:
     alpha, view, half = _sampled(n_v, roughness)
     direction = 2 * (view * half).sum(-1, keepdim=True) * half - view
     up = torch.tensor([0.0, 0.0, 1.0], dtype=torch.float64).expand(len(n_v), 3)
-    n_l, value, power = irgs_lobe(view[:, 0], up, roughness.expand_as(n_v), direction)
+    n_l, value, weight = irgs_lobe(view[:, 0], up, roughness.expand_as(n_v), direction)
     ratio = value * n_l.clamp_min(0) / visible_normal_density(view, direction, alpha).clamp_min(1e-30)
-    return torch.stack([(ratio * (1 - power)).mean(-1), (ratio * power).mean(-1)], -1)
+    return torch.stack([(ratio * (1 - weight)).mean(-1), (ratio * weight).mean(-1)], -1)
 
 
 def _sampled(n_v: torch.Tensor, roughness: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Our BRDF as a Mitsuba plugin, so that both renderers solve the same equation; imported once a variant is set.
 
-Mitsuba's own `principled` differs: Disney's diffuse lobe, Smith's term without height correlation, exact Fresnel.
+Mitsuba's own `principled` differs: Disney's diffuse lobe, Smith's term without height correlation.
 """
 
 # pyright: reportMissingImports=false, reportAttributeAccessIssue=false, reportCallIssue=false, reportArgumentType=false
@@ -12,9 +12,9 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from irgspp.core.kernels.constants import DIELECTRIC_F0, FRESNEL
 
 NAME = "metallic_roughness"
-DIELECTRIC_F0 = 0.04
 ROUGHNESS_FLOOR = 0.05
 COSINE_FLOOR = 1e-3  # of n.v: with smooth normals a visible point may look away
 
@@ -22,9 +22,9 @@ COSINE_FLOOR = 1e-3  # of n.v: with smooth normals a visible point may look away
 class MetallicRoughness(mi.BSDF):
     """Microfacet BRDF f = (1 - m) a / pi (1 - E_s) + F D V.
 
-    GGX, height-correlated Smith, Schlick, alpha = roughness^2, F0 = 0.04 (1 - m) + m a. Textures `base_color`, `roughness`, `metallic`;
-    `body` holds 1 - E_s over n.v (columns) and roughness (rows), 0 to 1 inclusive. Both sides of a face reflect alike. Directions are drawn
-    by visible normals or by the cosine, in the ratio of the lobes' colours.
+    GGX, height-correlated Smith, Fresnel of a dielectric (`constants.FRESNEL`), alpha = roughness^2, F0 = 0.04 (1 - m) + m a. Textures
+    `base_color`, `roughness`, `metallic`; `body` holds 1 - E_s over n.v (columns) and roughness (rows), 0 to 1 inclusive. Both sides of a
+    face reflect alike. Directions are drawn by visible normals or by the cosine, in the ratio of the lobes' colours.
     """
 
     body = np.ones((2, 2), np.float32)
@@ -148,9 +148,12 @@ class MetallicRoughness(mi.BSDF):
 
 
 def _fresnel(cosine, base, metallic):
-    """Return Schlick's Fresnel term."""
-    f0 = DIELECTRIC_F0 * (1 - metallic) + metallic * base
-    return f0 + (1 - f0) * dr.power(dr.clip(1 - cosine, 0, 1), 5)
+    """Return the Fresnel term, F0 + (1 - F0) w."""
+    f0, x = DIELECTRIC_F0 * (1 - metallic) + metallic * base, dr.clip(1 - cosine, 0, 1)
+    polynomial = 0.0
+    for factor in reversed(FRESNEL):
+        polynomial = polynomial * x + factor
+    return f0 + (1 - f0) * (x * x * x * polynomial)
 
 
 def _distribution(material):

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """CPU kernels of the specular lobe over the texels of a light, 8 directions to a vector.
 
-core/kernels/lobes.py defines the arrays, the order of the directions and how the lobe is split into f_s = F0 D V (1 - p) + D V p.
+core/kernels/lobes.py defines the arrays, the order of the directions and how the lobe is split into f_s = F0 D V (1 - w) + D V w.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import numpy as np
 
 from ..constants import NARROW, SHORTEST2
 from ..constants import PER_STRATUM as _PER_STRATUM
+from .fresnel import fresnel_weight
 from .jit import helper, kernel
 from .reductions import total
 from .simd import bits, load, maximum, select, splat, sqrt, store
@@ -24,7 +25,7 @@ _SHARE = np.float32(1 / _PER_STRATUM)
 
 @helper
 def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
-    """Return D V n.l, (1 - v.h)^5 and sin^2 (n, h) + alpha^2, about, in 8 directions with n_l >= 0.
+    """Return D V n.l, the Fresnel weight w and sin^2 (n, h) + alpha^2, about, in 8 directions with n_l >= 0.
 
     D is computed from the sine of the half vector: near 1 its cosine has no significant digits left.
     """
@@ -35,8 +36,7 @@ def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
     k = (tx * tx + ty * ty + tz * tz) / length2 * (_ONE - a2) + a2
     both = n_l * np.float32(math.sqrt(n_v * n_v * (_ONE - a2) + a2)) + sqrt(n_l * n_l * (_ONE - a2) + a2) * n_v
     x = maximum(splat(_ONE) - sqrt(length2) * _HALF, splat(_ZERO))
-    x2 = x * x
-    return n_l * (a2 * _HALF_PI) / (k * k * both), x2 * x2 * x, k
+    return n_l * (a2 * _HALF_PI) / (k * k * both), fresnel_weight(x), k
 
 
 @helper
@@ -48,13 +48,13 @@ def _cosines(direction, count, at, nx, ny, nz):
 
 @helper
 def _mean_lobe(strata, at, vx, vy, vz, nx, ny, nz, n_v, a2):
-    """Return the means over the directions within direction `at` of D V n.l (1 - p) and D V n.l p, p = (1 - v.h)^5."""
+    """Return the means over the directions within direction `at` of D V n.l (1 - w) and D V n.l w."""
     value, bias = splat(_ZERO), splat(_ZERO)
     for i in range(3 * _PER_STRATUM * at, 3 * _PER_STRATUM * at + _PER_STRATUM, 8):
         dx, dy, dz = load(strata, i), load(strata, i + _PER_STRATUM), load(strata, i + 2 * _PER_STRATUM)
         n_l = maximum(dx * nx + dy * ny + dz * nz, splat(_ZERO))
-        one, power, _ = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2)
-        value, bias = value + one, bias + one * power
+        one, weight, _ = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2)
+        value, bias = value + one, bias + one * weight
     return total(value - bias) * _SHARE, total(bias) * _SHARE
 
 
@@ -90,12 +90,12 @@ def lobe_rows_range(
                 dx, dy, dz, n_l = _cosines(direction, count, at, nx, ny, nz)
                 if bits(n_l > _ZERO) == 0:
                     continue
-                value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
+                value, weight, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
                 angle = load(solid_angle, at)
                 peak = (spread < angle * _NARROW) & (n_l > _ZERO)
                 listed = _listed(narrow, listed, at, bits(peak), 1, 0)
                 value = select(peak, zero, value * angle)
-                bias = value * power
+                bias = value * weight
                 value = value - bias
                 free = load(visible, p * count + at)
                 sum_f0, sum_fresnel = sum_f0 + value * free, sum_fresnel + bias * free
@@ -151,11 +151,11 @@ def lobe_sums_range(
                 l1 = (load(light, texels + texel) * free + load(indirect, (p * 3 + 1) * count + at)) * angle
                 l2 = (load(light, 2 * texels + texel) * free + load(indirect, (p * 3 + 2) * count + at)) * angle
                 for j in range(widths):
-                    value, power, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, alphas[j] * alphas[j])
+                    value, weight, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, alphas[j] * alphas[j])
                     peak = (spread < angle * _NARROW) & above
                     listed = _listed(narrow, listed, at, bits(peak), widths, j)
                     value = select(peak, zero, value)
-                    bias = value * power
+                    bias = value * weight
                     value = value - bias
                     to = j * 48
                     store(sums, to, load(sums, to) + value * l0)

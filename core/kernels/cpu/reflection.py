@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 
 from ..constants import IRGS_DENOMINATOR, IRGS_FRESNEL, SHORTEST2
+from .fresnel import fresnel_slope, fresnel_weight
 from .jit import helper, kernel
 
 LEAST_DENOMINATOR, LARGEST_DENOMINATOR = IRGS_DENOMINATOR
@@ -27,7 +28,7 @@ def point_terms(view, normal, alpha, p):
 
 @helper
 def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
-    """Return D V (1 - p) and D V p, p = (1 - v.h)^5, for normal n, view v and direction d.
+    """Return D V (1 - w) and D V w, w the Fresnel weight, for normal n, view v and direction d.
 
     root_v = sqrt(n.v^2 (1 - alpha^2) + alpha^2).
     """
@@ -38,8 +39,7 @@ def specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2):
     k = a2 + (tx * tx + ty * ty + tz * tz) / length2 * (1 - a2)
     sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
     value = a2 / (math.pi * k * k) * 0.5 / sum_l
-    x = 1 - 0.5 * math.sqrt(length2)
-    bias = value * (x * x) * (x * x) * x
+    bias = value * fresnel_weight(max(1 - 0.5 * math.sqrt(length2), 0.0))
     return value - bias, bias
 
 
@@ -121,19 +121,18 @@ def reflect_backward_range(begin, end, view, normal, alpha, direction, density, 
             distribution = a2 / (math.pi * k * k)
             visibility = 0.5 / sum_l
             length = math.sqrt(length2)
-            x = 1 - 0.5 * length
-            x4 = (x * x) * (x * x)
-            power = x4 * x
+            x = max(1 - 0.5 * length, 0.0)
+            fresnel = fresnel_weight(x)
             value = distribution * visibility * weight
-            scaled = value * (1 - power)
-            bias = value * power
+            scaled = value * (1 - fresnel)
+            bias = value * fresnel
             d_incoming[p, i, 0] = weight * g0 + scaled * g3 + bias * g6
             d_incoming[p, i, 1] = weight * g1 + scaled * g4 + bias * g7
             d_incoming[p, i, 2] = weight * g2 + scaled * g5 + bias * g8
 
             r, g, b = float(incoming[p, i, 0]), float(incoming[p, i, 1]), float(incoming[p, i, 2])
             d_scaled, d_bias = g3 * r + g4 * g + g5 * b, g6 * r + g7 * g + g8 * b
-            d_value = d_scaled * (1 - power) + d_bias * power
+            d_value = d_scaled * (1 - fresnel) + d_bias * fresnel
             d_weight = g0 * r + g1 * g + g2 * b + d_value * distribution * visibility
             d_n_l = d_weight * inverse_density
             # visibility = 0.5 / (n_l root_v + n_v root_l)
@@ -147,8 +146,8 @@ def reflect_backward_range(begin, end, view, normal, alpha, direction, density, 
             d_a2 += d_distribution * distribution / a2 + d_k * (1 - sine2)
             # sine2 = t.t / length2, t = h - n_h n
             d_sine2 = d_k * (1 - a2) / length2
-            d_power = value * (d_bias - d_scaled)
-            d_length2 = -d_sine2 * sine2 - 1.25 * x4 * d_power / length
+            d_fresnel = value * (d_bias - d_scaled)
+            d_length2 = -d_sine2 * sine2 - 0.25 * fresnel_slope(x) * d_fresnel / length
             if length2 <= SHORTEST2:
                 d_length2 = 0.0
             d_t = 2 * d_sine2

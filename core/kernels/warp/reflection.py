@@ -5,11 +5,12 @@ import math
 
 import warp as wp
 
-from ..constants import IRGS_DENOMINATOR, IRGS_FRESNEL, SHORTEST2
+from ..constants import FRESNEL, IRGS_DENOMINATOR, IRGS_FRESNEL, SHORTEST2
 from . import runtime  # noqa: F401  (sets warp up)
 
 _SHORTEST2, _HALF_PI, _FOUR_PI = wp.constant(SHORTEST2), wp.constant(0.5 / math.pi), wp.constant(4 * math.pi)
 _LEAST, _LARGEST = (wp.constant(float(bound)) for bound in IRGS_DENOMINATOR)
+_A0, _A1, _A2, _A3, _A4 = (wp.constant(factor) for factor in FRESNEL)
 _SQUARE, _LINEAR = (wp.constant(factor) for factor in IRGS_FRESNEL)
 
 
@@ -45,6 +46,12 @@ def spread(point: Point, d: wp.vec3, n_l: float) -> float:
 
 
 @wp.func
+def fresnel_weight(x: float) -> float:
+    """Return w of F = F0 + (1 - F0) w at x = 1 - v.h, see `constants.FRESNEL`."""
+    return x * x * x * ((((x * _A4 + _A3) * x + _A2) * x + _A1) * x + _A0)
+
+
+@wp.func
 def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
     """Return the two parts of D V for n_l > 0: the one that F0 scales and the one that Fresnel adds."""
     h = d + point.v
@@ -52,8 +59,7 @@ def lobe(point: Point, d: wp.vec3, n_l: float) -> wp.vec2:
     k = spread(point, d, n_l)
     both = n_l * point.root + point.n_v * wp.sqrt(n_l * n_l * (1.0 - point.a2) + point.a2)
     value = point.a2 * _HALF_PI / (k * k * both)
-    x = wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0)
-    bias = value * (x * x) * (x * x) * x
+    bias = value * fresnel_weight(wp.max(1.0 - 0.5 * wp.sqrt(length2), 0.0))
     return wp.vec2(value - bias, bias)
 
 

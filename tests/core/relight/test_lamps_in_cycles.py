@@ -127,10 +127,10 @@ def test_direct_light_of_metals(known, lamp):
 
 @pytest.mark.parametrize("lamp", ["sun", "sharp point", "spot", "near area"])
 def test_direct_light_of_dielectrics(known, lamp):
-    """Principled's coat reflects a little more than our Schlick Fresnel, which costs its diffuse lobe two percent."""
+    """Gloss and the diffuse lobe below it are those of Principled, so that what is left is noise."""
     surface = known.module.Surface
     ours, theirs = both(known, lamp, 0, surface((0.8, 0.3, 0.2), 0.5), surface((0.5, 0.6, 0.7), 0.6))
-    assert_alike(ours, theirs, 0.025, 0.04, 38)
+    assert_alike(ours, theirs, 0.015, 0.04, 38)
 
 
 @pytest.mark.parametrize("lamp", ["sun", "sharp point", "area"])

@@ -54,11 +54,20 @@ def test_visibility_is_correlated_smith_and_reciprocal():
     assert torch.isfinite(brdf.smith_visibility(tensor(0.0), tensor(0.0), tensor(0.0025))).all()
 
 
-def test_fresnel_from_f0_to_one():
-    f0 = tensor(0.04, 0.5)
-    assert torch.allclose(brdf.schlick(tensor(1.0), f0), f0)
-    assert torch.allclose(brdf.schlick(tensor(0.0), f0), torch.ones(2, dtype=F64))
-    assert torch.allclose(brdf.schlick(tensor(0.5), f0), f0 + (1 - f0) / 32)
+def fresnel_equations(cosine, index=1.5):
+    """Reflectance of unpolarised light at a dielectric."""
+    inside = (1 - (1 - cosine**2) / index**2).sqrt()
+    across = (cosine - index * inside) / (cosine + index * inside)
+    along = (index * cosine - inside) / (index * cosine + inside)
+    return (across**2 + along**2) / 2
+
+
+def test_fresnel_weight_fits_the_equations_of_a_dielectric():
+    cosine = torch.linspace(0, 1, 2001, dtype=F64)
+    weight = brdf.fresnel_weight(cosine)
+    torch.testing.assert_close(0.04 + 0.96 * weight, fresnel_equations(cosine), rtol=3e-3, atol=0)
+    assert weight[0] == pytest.approx(1) and weight[-1] == 0  # exact ends: at grazing angles all is reflected, frontally F0
+    assert (weight.diff() <= 0).all()
 
 
 def test_base_reflectance_of_plastic_and_metal():

@@ -5,7 +5,7 @@ import math
 
 import pytest
 import torch
-from irgspp.core.shading.brdf import irgs_lobe
+from irgspp.core.shading.brdf import fresnel_weight, irgs_lobe
 from irgspp.core.shading.environment_lookup import lookup, texel_directions
 from irgspp.core.shading.rendering_equation import reflect_light
 from irgspp.core.shading.sampling import LightDistribution, Samples, draw, orthonormal_basis
@@ -69,7 +69,7 @@ def textbook(light, view, direction, roughness):
     smith = lambda c: (-1 + (1 + alpha**2 * (1 - c**2) / c**2).sqrt()) / 2  # noqa: E731
     g = 1 / (1 + smith(n_l.clamp_min(1e-9)) + smith(n_v))
     f0 = 0.04 * (1 - METALLIC) + METALLIC * albedo
-    fresnel = f0 + (1 - f0) * (1 - v_h[:, None]) ** 5
+    fresnel = f0 + (1 - f0) * fresnel_weight(v_h)[:, None]
     specular = fresnel * (d * g / (4 * n_l.clamp_min(1e-9) * n_v))[:, None]
     lit = lookup(light.double(), direction) * n_l.clamp_min(0)[:, None]
     return (1 - METALLIC) * albedo / math.pi * lit, specular * lit
