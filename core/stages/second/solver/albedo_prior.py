@@ -14,6 +14,9 @@ RELEASE_WEIGHTS = (1.0, 0.03)  # first and last weight after these
 CONSTANT_WEIGHT = 1e3  # weight in these, far above that of a point's samples
 MIN_ALBEDO = 0.02  # least albedo by which the weight is divided
 SAME_COLOUR_DIFFERENCE = 0.15  # difference in log albedo below which two points count as being of one colour
+# Difference in mean log albedo below which two points of equal tint do. Where only dim light arrives, such as under a plate, bright light on
+# a dark surface and dim light on a bright one look alike but for gloss; the same paint elsewhere tells them apart.
+SAME_TINT_DIFFERENCE = 0.45
 COMPARED_POINTS = 1000  # points that each point's colour is compared with
 
 
@@ -33,7 +36,7 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
         return torch.full_like(albedo, start), torch.full_like(albedo, CONSTANT_WEIGHT)
     log_albedo = albedo.log()
     others = log_albedo[torch.randperm(len(log_albedo), generator=generator)[:COMPARED_POINTS].to(log_albedo.device)]
-    similarity = colour_likeness(log_albedo, others)
+    similarity = colour_likeness(_with_less_brightness(log_albedo), _with_less_brightness(others))
     total = similarity.sum(1, keepdim=True)
     strength = RELEASE_WEIGHTS[0] * (RELEASE_WEIGHTS[1] / RELEASE_WEIGHTS[0]) ** min(1.0, (done - CONSTANT_STEPS) / RELEASE_STEPS)
     pull = strength * total / len(others) / albedo.clamp_min(MIN_ALBEDO) ** 2 + 1e-6
@@ -43,3 +46,9 @@ def albedo_prior(albedo: torch.Tensor, done: int, start: float, generator: torch
 def colour_likeness(log_albedo: torch.Tensor, others: torch.Tensor) -> torch.Tensor:
     """Return by how much points with log albedos (P, 3) are of the colour of others (S, 3): (P, S), 1 for equal ones."""
     return 1 / (1 + torch.cdist(log_albedo, others).square() / SAME_COLOUR_DIFFERENCE**2) ** 2
+
+
+def _with_less_brightness(log_albedo: torch.Tensor) -> torch.Tensor:
+    """Scale the means over the channels of log albedos (P, 3) so that SAME_TINT_DIFFERENCE becomes SAME_COLOUR_DIFFERENCE."""
+    mean = log_albedo.mean(1, keepdim=True)
+    return log_albedo - (1 - SAME_COLOUR_DIFFERENCE / SAME_TINT_DIFFERENCE) * mean

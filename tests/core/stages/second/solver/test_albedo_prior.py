@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Prior of the albedo: one constant at first, then the mean of like colours, across brightness more than across tints."""
+
+import torch
+from irgspp.core.stages.second.solver.albedo_prior import CONSTANT_STEPS, albedo_prior, colour_likeness
+
+RED, BLUE = torch.tensor([0.5, 0.2, 0.1]), torch.tensor([0.1, 0.2, 0.5])
+
+
+def targets(*albedos):
+    """Target and weight (len(albedos), 3) for as many groups of 50 points, one of each group."""
+    points = torch.stack(albedos).repeat_interleave(50, 0)
+    target, weight = albedo_prior(points, CONSTANT_STEPS, 0.5, torch.Generator().manual_seed(0))
+    return target[::50], weight[::50]
+
+
+def test_albedo_is_constant_at_first():
+    target, weight = albedo_prior(torch.stack([RED, BLUE]), CONSTANT_STEPS - 1, 0.3, torch.Generator())
+    assert (target == 0.3).all() and (weight > 100).all()
+
+
+def test_tints_are_kept_apart():
+    target, _ = targets(RED, BLUE)
+    torch.testing.assert_close(target, torch.stack([RED, BLUE]), rtol=0.02, atol=0)
+
+
+def test_dark_and_bright_paint_of_one_tint_are_pulled_together():
+    target, _ = targets(RED, 0.8 * RED, BLUE)
+    assert (target[0] < 0.96 * RED).all() and (target[1] > 1.04 * 0.8 * RED).all()
+    torch.testing.assert_close(target[0] / target[0].sum(), RED / RED.sum(), rtol=0.05, atol=0)
+
+
+def test_very_different_brightness_of_one_tint_is_kept():
+    target, _ = targets(RED, 0.1 * RED)
+    assert (target[1] < 0.13 * RED).all()
+
+
+def test_likeness_is_symmetric_and_one_for_equals():
+    colours = torch.stack([RED, BLUE]).log()
+    likeness = colour_likeness(colours, colours)
+    assert torch.equal(likeness, likeness.T) and (likeness.diagonal() == 1).all()
+    assert likeness[0, 1] < 0.01
