@@ -60,7 +60,7 @@ def smith_visibility(n_l: torch.Tensor, n_v: torch.Tensor, alpha: torch.Tensor) 
 
 
 def fresnel_weight(v_h: torch.Tensor) -> torch.Tensor:
-    """Return w of the Fresnel reflectance F = F0 + (1 - F0) w; a metal takes the same w, by which its F differs from Schlick's by 1 %.
+    """Return w of the Fresnel reflectance F = F0 + (1 - F0) w; a metal takes the same w, which changes the F of a bright one by 1 %.
 
     Args:
         v_h: (...,) cosine between view direction and half vector.

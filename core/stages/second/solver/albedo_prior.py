@@ -14,8 +14,8 @@ RELEASE_WEIGHTS = (1.0, 0.03)  # first and last weight after these
 CONSTANT_WEIGHT = 1e3  # weight in these, far above that of a point's samples
 MIN_ALBEDO = 0.02  # least albedo by which the weight is divided
 SAME_COLOUR_DIFFERENCE = 0.15  # difference in log albedo below which two points count as being of one colour
-# Difference in mean log albedo below which two points of equal tint do. Where only dim light arrives, such as under a plate, bright light on
-# a dark surface and dim light on a bright one look alike but for gloss; the same paint elsewhere tells them apart.
+# Difference in mean log albedo below which two points of equal tint do. Where only dim light arrives, such as under a plate, brighter light
+# on a darker surface looks the same but for gloss; the same paint elsewhere tells them apart.
 SAME_TINT_DIFFERENCE = 0.45
 COMPARED_POINTS = 1000  # points that each point's colour is compared with
 
