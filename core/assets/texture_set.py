@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.eight_bits import in_eight_bits
+from ..io.quantisation import in_eight_bits
 from ..run_folder import read_run
 from ..scene.textures import CHANNELS, OPTIONAL, SIXTEEN_BITS, load_textures, occlusion_roughness_metallic, save_textures
 

@@ -7,7 +7,7 @@ import functools
 
 import numpy as np
 
-from ..io.eight_bits import srgb_eight_bits
+from ..io.quantisation import srgb_eight_bits
 from ..io.srgb import decode_srgb
 
 PQ, HLG = 16, 18  # transfer characteristics of high dynamic range

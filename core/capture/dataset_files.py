@@ -14,7 +14,7 @@ import pycolmap
 
 from ..errors import InputError
 from ..io.atomic import replaced_folder, write_atomic
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from ..scene.camera import Camera
 from ..scene.similarity import moved_points
 from .sparse_model import SparseModel

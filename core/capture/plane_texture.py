@@ -14,7 +14,7 @@ from itertools import chain
 import cv2
 import numpy as np
 
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from ..machine.thread_pool import run_jobs
 from ..scene.camera import Camera
 from ..scene.dataset import Bound

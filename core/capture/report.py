@@ -13,7 +13,7 @@ import numpy as np
 from PIL import Image, ImageDraw
 
 from ..io.atomic import atomic_file, write_atomic
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from .undistortion import UndistortedImage
 
 TEMPLATE = "report.html.jinja"  # next to this module

@@ -12,7 +12,7 @@ import numpy as np
 
 from ..errors import Cancelled, InputError
 from ..io.atomic import write_atomic
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from ..progress.protocol import Progress
 from ..scene.camera_files import save_views
 from ..scene.dataset import Dataset, View

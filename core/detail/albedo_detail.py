@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
-from ..io.eight_bits import bits_of, srgb_quantised
+from ..io.quantisation import bits_of, srgb_quantised
 from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery

@@ -11,7 +11,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from ..errors import Cancelled
 from ..io.atomic import atomic_file
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from ..progress.protocol import Progress
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter

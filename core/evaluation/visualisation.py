@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from ..io.srgb import encode_srgb
 
 # Dark to light in even steps of lightness: black, violet, red, orange, cream.

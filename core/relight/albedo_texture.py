@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from ..io.eight_bits import eight_bits, in_eight_bits
+from ..io.quantisation import eight_bits, in_eight_bits
 from ..io.srgb import decode_srgb, encode_srgb
 from ..run_folder import read_run
 from ..scene.mesh import Mesh

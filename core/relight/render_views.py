@@ -14,8 +14,8 @@ from PIL import Image
 
 from ..datasets.load import load_dataset_cameras
 from ..errors import Cancelled, InputError
-from ..io.eight_bits import eight_bits
 from ..io.exr import rgb_channels, write_exr
+from ..io.quantisation import eight_bits
 from ..io.srgb import straight_srgb
 from ..progress.protocol import Progress, Silent
 from ..rendering.layers import LAYERS

@@ -13,7 +13,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.atomic import write_atomic
-from ..io.eight_bits import eight_bits
+from ..io.quantisation import eight_bits
 from .camera import Camera
 from .dataset import Dataset, View
 

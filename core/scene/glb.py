@@ -13,7 +13,7 @@ from trimesh.visual import TextureVisuals
 from trimesh.visual.material import PBRMaterial
 
 from ..io.atomic import write_atomic
-from ..io.eight_bits import eight_bits, in_eight_bits
+from ..io.quantisation import eight_bits, in_eight_bits
 from .mesh import Mesh
 from .textures import occlusion_roughness_metallic
 

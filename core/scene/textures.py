@@ -11,8 +11,8 @@ from PIL import Image
 
 from ..errors import InputError
 from ..io.atomic import atomic_file
-from ..io.eight_bits import bits_of
 from ..io.image import decode_deep_png, png_bits
+from ..io.quantisation import bits_of
 
 CHANNELS = {"albedo": 3, "roughness": 1, "metallic": 1, "normal": 3, "confidence": 1, "material_confidence": 3, "height": 1}
 OPTIONAL = ("confidence", "material_confidence", "height")  # that older runs lack, or that were not measured

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ..io.eight_bits import sixteen_bits
+from ..io.quantisation import sixteen_bits
 from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..scene.triangle_tracer import TriangleTracer

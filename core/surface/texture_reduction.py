@@ -6,7 +6,7 @@ from __future__ import annotations
 import cv2
 import numpy as np
 
-from ..io.eight_bits import bits_of, quantised, srgb_quantised
+from ..io.quantisation import bits_of, quantised, srgb_quantised
 from ..io.srgb import decode_srgb
 from ..scene.mesh import Mesh
 from .mesh_texels import CoveredTexels, texel_owners

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from ..errors import Cancelled
-from ..io.eight_bits import eight_bits, quantised, srgb_quantised
+from ..io.quantisation import eight_bits, quantised, srgb_quantised
 from ..progress.protocol import Progress
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.mesh import Mesh

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.io.atomic import atomic_file
-from ...core.io.eight_bits import eight_bits
+from ...core.io.quantisation import eight_bits
 from .capture_file import FILE
 from .ownership import KEY, folder_of
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import torch
 
-from ...io.eight_bits import eight_bits
+from ...io.quantisation import eight_bits
 from ...io.srgb import encode_srgb
 from ...rendering.gbuffer import render_gbuffer
 from ...scene.camera import Camera

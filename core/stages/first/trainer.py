@@ -12,7 +12,7 @@ import numpy as np
 import torch
 
 from ...errors import Cancelled, IrgsppError
-from ...io.eight_bits import eight_bits
+from ...io.quantisation import eight_bits
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import radiance

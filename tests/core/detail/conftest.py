@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.detail.photographs import FullSizePhotograph, find_full_size_photographs
-from irgspp.core.io.eight_bits import srgb_eight_bits
+from irgspp.core.io.quantisation import srgb_eight_bits
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound

@@ -3,7 +3,7 @@
 
 import numpy as np
 import pytest
-from irgspp.core.io.eight_bits import eight_bits, in_eight_bits, quantised, srgb_quantised
+from irgspp.core.io.quantisation import eight_bits, in_eight_bits, quantised, srgb_quantised
 
 
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
