@@ -16,7 +16,7 @@ from irgspp.core.settings.schema import preset
 
 TINY = (
     "materials=low-gloss",  # the trial fits take longer than the rest; the demo below runs them
-    "first.iterations=160",
+    "first.iterations=250",
     "first.gaussians=3000",
     "second.points=1000",  # of 500, rounding alone can make a patch metal
     "second.rows=8",
@@ -50,7 +50,7 @@ def test_job_leaves_a_complete_run_folder(run):
     assert (run / "scene.blend").exists() or state["skipped"][0]["what"] == "scene.blend"
     assert not [path for path in run.rglob("*") if ".part" in path.name]
     steps = [e for line in (run / "events.jsonl").read_text().splitlines() if "loss" in (e := json.loads(line))]
-    assert steps[-1]["step"] == 160
+    assert steps[-1]["step"] == 250
     assert steps[-1]["loss"] < 0.6 * steps[0]["loss"]
 
 

@@ -176,7 +176,7 @@ def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
         some[last - 7 : last + 1] = True  # whole vectors of 8, as the kernels need
         truth, _, _ = truth.split(some)
     light = torch.full((truth.count, 3), 0.3)
-    light[-1] = 400.0
+    light[-1] = 600.0
     exact = transport(position, normal, truth, 6)
     _, albedo, roughness, metallic = scene[2]
     seen = replace(scene[1], colour=rendered(scene[1], exact, light, albedo, roughness, 0 * metallic))
@@ -195,7 +195,7 @@ def test_a_lamp_smaller_than_a_texel_is_found_by_its_shadows(scene):
     brightest = int(found.light[:, 0].argmax())
     texels = found.transfer.texels
     assert [int(part[brightest]) for part in (texels.level, texels.row, texels.column)] == [2, truth.row[-1], truth.column[-1]]
-    assert float(found.light[brightest].mean()) > 0.5 * 400
+    assert float(found.light[brightest].mean()) > 0.5 * 600
 
 
 @pytest.mark.parametrize("loss, whole", [(0.5, True), (2.0, False)])
