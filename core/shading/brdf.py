@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Microfacet BRDFs: that of the whole project ("principled"), and that of the baseline IRGS ("irgs").
 
-principled: GGX distribution, height-correlated Smith masking-shadowing, Fresnel's equations for an index of
-refraction of 1.5, as in Blender's Principled BSDF (`constants.FRESNEL`).
+principled: GGX distribution, height-correlated Smith masking-shadowing, Fresnel's equations for an index of refraction of
+1.5, as in Blender's Principled BSDF (`constants.FRESNEL`).
 f = (1 - m) a / pi + F D V,  F0 = 0.04 (1 - m) + m a,  V = G / (4 n.l n.v),  alpha = roughness^2
 irgs: no metal. f = a / pi + F alpha^2 / clamp(4 pi ((n.h)^2 (alpha^2 - 1) + 1)^2 g(n.v) g(n.l), 1e-6, 4 pi), F0 = 0.04,
 g(x) = x (1 - k) + k with k = (roughness + 1)^2 / 8 (Schlick's masking)
@@ -60,7 +60,7 @@ def smith_visibility(n_l: torch.Tensor, n_v: torch.Tensor, alpha: torch.Tensor) 
 
 
 def fresnel_weight(v_h: torch.Tensor) -> torch.Tensor:
-    """Return w of the Fresnel reflectance F = F0 + (1 - F0) w; a metal takes the same w, which changes the F of a bright one by 1 %.
+    """Return w of the Fresnel reflectance F = F0 + (1 - F0) w; a metal takes the same w, which changes F by 1 % where F0 is 0.7 and more.
 
     Args:
         v_h: (...,) cosine between view direction and half vector.

@@ -148,3 +148,10 @@ def test_an_unfinished_run_is_refused_in_one_line(run, tmp_path):
     with pytest.raises(InputError, match=r"mesh\.ply: no such file"):
         export(run, tmp_path / "o.ply")
     assert not (tmp_path / "o.ply").exists()
+
+
+def test_a_run_without_gaussians_is_an_error(run, tmp_path):
+    (run / "gaussians.ply").unlink()
+    with pytest.raises(InputError):
+        export(run, tmp_path / "o.ply")
+    assert not (tmp_path / "o.ply").exists()

@@ -59,7 +59,7 @@ def estimates(light, view, roughness, counts=MIS, points=6000, method="mis", alb
 
 
 def textbook(light, view, direction, roughness):
-    """Diffuse and specular integrand f L cos (K, 3) in float64, implemented independently from the formulas."""
+    """Diffuse and specular integrand f L cos (K, 3) in float64, of its own but for the Fresnel weight, which test_brdf.py checks."""
     alpha, albedo = max(roughness, 0.05) ** 2, torch.tensor(ALBEDO, dtype=F64)
     n_l, n_v = direction @ NORMAL, view @ NORMAL
     half = unit(direction + view)
