@@ -10,8 +10,8 @@ where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and F0
 scale (`f0_term`), S' its bias (`fresnel_term`; core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect
 light. The albedo is eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes
 Gauss-Newton steps, and roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal:
-`metal_regions.py`). At the end the roughness gets a prior from all points of like albedo (`roughness_prior.py`), and the normals of metal
-turn towards its reflections (`metal_normals.py`).
+`metal_regions.py`). At the end the normals of metal turn towards its reflections (`metal_normals.py`), and roughness and light settle, the
+roughness with a prior from all points of like albedo (`roughness_prior.py`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -51,6 +51,7 @@ MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 # Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
 SPLIT_CAUCHY_FACTOR = 4.0
 TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
+SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
 DAMPING = 1e-3  # fraction of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
 MAX_LOG_STEP, LOG_LIGHT_RANGE = 1, (-9, 7)  # largest change of a texel's log radiance in a step, and its range
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
@@ -179,6 +180,14 @@ class LightMaterialSolver:
         self._update_model()
         for _ in range(TURN_STEPS):
             self._step(STEPS)
+
+    def settle(self) -> float:
+        """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change."""
+        before = self.roughness
+        self._set_materials(self._costs(), self.metallic > 0, with_prior=True)
+        for _ in range(SETTLING_STEPS):
+            self._step(STEPS)
+        return float((self.roughness - before).square().mean().sqrt())
 
     def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""

@@ -23,11 +23,11 @@ from ..metal import METALLIC_THRESHOLD, is_mostly_metal
 from ..secondary_tracer import secondary_tracer
 from ..step_report import report_step
 from .albedo_prior import MEDIUM_ALBEDO
-from .light_material_solver import STEPS, LightMaterialSolver, Split
+from .light_material_solver import LightMaterialSolver, Split
 from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples, sample_views
 from .radiance_transfer import RadianceTransfer
-from .solver_run import run_solver
+from .solver_run import TOTAL_STEPS, run_solver
 from .transfer_tracing import split_brightest, trace_radiance_transfer
 
 MIN_POINTS = 50  # with which the light is solved
@@ -175,7 +175,7 @@ def _solve_from_first_stage(inputs: SolverInputs, search_metal: bool, progress: 
 def _solve(inputs: SolverInputs, search_metal: bool, progress: Progress, try_dark: bool) -> LightMaterialSolver:
     """Run a solver; `try_dark` also tries a dark start."""
     solver = inputs.solver(search_metal)
-    progress.phase("second stage", STEPS)
+    progress.phase("second stage", TOTAL_STEPS)
     return run_solver(solver, inputs.split(), on_step=partial(report_step, progress), try_dark=try_dark)
 
 

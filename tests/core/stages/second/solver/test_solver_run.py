@@ -8,7 +8,8 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.albedo_prior import DARK_ALBEDO, MEDIUM_ALBEDO
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
-from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, run_solver
+from irgspp.core.stages.second.solver import solver_run
+from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, TOTAL_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
 
 
@@ -65,6 +66,36 @@ def test_steps_are_told_once_each_and_may_end_the_run(scene, last):
     told = []
     run_solver(start(seen, transfer), unsplit, lambda done: told.append(done) or done == last)
     assert told == [0] * START_STEPS + list(range(1, last + 1))
+
+
+def test_light_and_roughness_settle(scene, monkeypatch):
+    transfer, seen, (light, _, roughness, metallic) = scene
+    settled, unsettled, told = start(seen, transfer), start(seen, transfer), []
+    run_solver(settled, on_step=told.append)
+    monkeypatch.setattr(solver_run, "SETTLING_PASSES", 0)
+    monkeypatch.setattr(solver_run, "TOTAL_STEPS", STEPS)
+    run_solver(unsettled)
+    assert told[-1] <= TOTAL_STEPS and told[:STEPS] == list(range(1, STEPS + 1))
+    assert settled.settle() < unsettled.settle()
+    dull = metallic == 0
+    gloss, before = (float((solver.roughness - roughness)[dull].abs().mean()) for solver in (settled, unsettled))
+    assert gloss < before + 1e-3
+    dark, dark_before = (float((solver.light / light).log().abs().mean()) for solver in (settled, unsettled))
+    assert dark < 1.02 * dark_before
+
+
+def test_settling_ends_where_the_roughness_stays_or_it_is_asked_to(scene, monkeypatch):
+    transfer, seen, _ = scene
+    changes, passes = [0.1, 0.05, 1e-3, 0.1], []
+    monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: passes.append(changes[len(passes)]) or passes[-1])
+    run_solver(start(seen, transfer))
+    assert passes == changes[:3]
+    passes.clear()
+    run_solver(start(seen, transfer), on_step=lambda done: done == STEPS + 1)
+    assert passes == changes[:1]
+    passes.clear()
+    run_solver(start(seen, transfer), on_step=lambda done: done == STEPS)
+    assert not passes
 
 
 def test_the_run_may_end_while_starts_are_compared(scene):
