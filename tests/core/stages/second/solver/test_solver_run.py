@@ -6,9 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.stages.second.solver import solver_run
 from irgspp.core.stages.second.solver.albedo_prior import DARK_ALBEDO, MEDIUM_ALBEDO
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
-from irgspp.core.stages.second.solver import solver_run
 from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, TOTAL_STEPS, run_solver
 from sphere_on_floor import make, rendered, start
 
