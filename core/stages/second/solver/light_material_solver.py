@@ -182,9 +182,14 @@ class LightMaterialSolver:
             self._step(STEPS)
 
     def settle(self) -> float:
-        """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change."""
-        before = self.roughness
-        self._set_materials(self._costs(), self.metallic > 0, with_prior=True)
+        """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change.
+
+        That of metal stays: it was found together with the normals.
+        """
+        before, metal = self.roughness, self.metallic > 0
+        likely = self._search.likely_roughness(self._costs(), metal, self.albedo)
+        self.roughness = torch.where(metal, before, likely)
+        self._update_model()
         for _ in range(SETTLING_STEPS):
             self._step(STEPS)
         return float((self.roughness - before).square().mean().sqrt())
