@@ -22,8 +22,8 @@ MAX_DARK_ERROR_RATIO = 0.95  # ratio of errors below which a dark start is the b
 # rocker_corner, the split light's was .3 per cent lower and .8 higher, and its light was better by 2 dB in both; on spot_rough by .6 dB.
 MAX_COARSE_ERROR_RATIO = 0.99
 NORMAL_SEARCHES = 2  # searches of the normals of metal; a third one changes little
-# Searches of the roughness at the end, at most; they end when its root mean square changes by less. On rocker_corner, each brings the light
-# nearer to the truth (11.9 -> 13.9 dB) and the roughness (error .044 -> .020); two are enough on spot_rough.
+# Searches of the roughness at the end, at most, and the root mean square of its change below which they end. On rocker_corner, each brings
+# light and roughness nearer to the truth (its error .05 -> .02); two are enough on spot_rough.
 SETTLING_PASSES, MIN_ROUGHNESS_CHANGE = 8, 0.002
 TOTAL_STEPS = STEPS + SETTLING_PASSES  # that are reported
 
@@ -64,20 +64,20 @@ def run_solver(
     if coarse and _clearly_better(coarse, solver):
         solver = coarse
     # Of an object that is metal as a whole, the first stage's reflections know the normals better.
-    if not ended and bool((solver.metallic > 0).any()) and not solver.is_mostly_metal:
-        solver.grow_metal()
-        for _ in range(NORMAL_SEARCHES if bool((solver.metallic > 0).any()) else 0):
-            solver.turn_metal()
-            if ended := bool(on_step(STEPS)):
-                break
     if not ended and not solver.is_mostly_metal:
-        _settle(solver, on_step)
+        _finish(solver, on_step)
     solver.reduce_tint()
     return solver
 
 
-def _settle(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> None:
-    """Search the roughness with its prior again and again, and let the light follow, until it stays; `on_step` as by `run_solver`."""
+def _finish(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> None:
+    """Draw the borders of metal anew, search its normals, and let roughness and light settle; `on_step` is called as by `run_solver`."""
+    if bool((solver.metallic > 0).any()):
+        solver.grow_metal()
+        for _ in range(NORMAL_SEARCHES if bool((solver.metallic > 0).any()) else 0):
+            solver.turn_metal()
+            if on_step(STEPS):
+                return
     for done in range(STEPS, TOTAL_STEPS):
         if solver.settle() < MIN_ROUGHNESS_CHANGE or on_step(done + 1):
             return

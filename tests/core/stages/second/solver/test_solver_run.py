@@ -84,6 +84,16 @@ def test_light_and_roughness_settle(scene, monkeypatch):
     assert dark < 1.02 * dark_before
 
 
+def test_the_roughness_of_metal_stays_while_the_rest_settles(scene):
+    transfer, seen, (*_, metallic) = scene
+    solver = start(seen, transfer)
+    solver.metallic = metallic
+    before = solver.roughness
+    assert solver.settle() > 0
+    changed = solver.roughness != before
+    assert not changed[metallic > 0].any() and changed[metallic == 0].any()
+
+
 def test_settling_ends_where_the_roughness_stays_or_it_is_asked_to(scene, monkeypatch):
     transfer, seen, _ = scene
     changes, passes = [0.1, 0.05, 1e-3, 0.1], []
