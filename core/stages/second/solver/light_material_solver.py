@@ -29,9 +29,9 @@ import torch
 
 from ...common.finite_check import require_finite
 from ..metal import MEAN_METALLIC_THRESHOLD
-from .albedo_prior import CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, albedo_prior
+from .albedo_prior import CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, SETTLING_WEIGHT, albedo_prior
 from .light_prior import LightPrior
-from .linear_system import solve_positive
+from .linear_system import damped_step
 from .material_search import MaterialSearch
 from .metal_normals import reflected_normals
 from .metal_regions import completed_metal, confirm_metal, sharp_regions
@@ -52,8 +52,7 @@ MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 SPLIT_CAUCHY_FACTOR = 4.0
 TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
 SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
-DAMPING = 1e-3  # fraction of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
-MAX_LOG_STEP, LOG_LIGHT_RANGE = 1, (-9, 7)  # largest change of a texel's log radiance in a step, and its range
+LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
@@ -191,7 +190,7 @@ class LightMaterialSolver:
         self.roughness = torch.where(metal, before, likely)
         self._update_model()
         for _ in range(SETTLING_STEPS):
-            self._step(STEPS)
+            self._step(STEPS, SETTLING_WEIGHT)
         return float((self.roughness - before).square().mean().sqrt())
 
     def reduce_tint(self) -> None:
@@ -226,8 +225,8 @@ class LightMaterialSolver:
         self._hessian: list[torch.Tensor] | None = None
         self._age = 0  # steps for which the Hessian has counted
 
-    def _step(self, done: int) -> None:
-        """Solve the albedo for the current light, then do a Gauss-Newton step of the light with the albedo eliminated."""
+    def _step(self, done: int, prior_weight: float | None = None) -> None:
+        """Solve the albedo for the light, then do a Gauss-Newton step of the light without the albedo; see `albedo_prior` for the weight."""
         samples, y = self.samples, self.samples.colour
         factor, rest = self._model.terms(self.light)
         error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
@@ -235,7 +234,7 @@ class LightMaterialSolver:
         self._loosened = max(1.0, self._loosened / 2)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
         weight = self.robust_weight * self.derivative**2
-        anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator)
+        anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator, prior_weight)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
         if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP:
@@ -251,16 +250,8 @@ class LightMaterialSolver:
             hessians: (T, T) of each channel.
             gradient: (T, 3).
         """
-        smoothness, log_light = self._light_prior.form(self.light), self.light.log()
-        steps, self._curvature = [], torch.zeros_like(self._curvature)
-        for c, linear in enumerate(hessians):
-            light = self.light[:, c]
-            hessian = light[:, None] * linear * light  # with respect to the logarithm of the light
-            damped = hessian + smoothness + torch.diag(DAMPING * hessian.diagonal() + 1e-10)
-            right = light * gradient[:, c] + smoothness @ log_light[:, c]
-            steps.append(solve_positive(damped.double(), right.double()).float())
-            self._curvature[c] = hessian.sum()
-        step = torch.stack(steps, 1).clamp(-MAX_LOG_STEP, MAX_LOG_STEP)
+        log_light = self.light.log()
+        step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.form(self.light))
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT_RANGE).exp())
         self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 

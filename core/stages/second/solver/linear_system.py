@@ -1,9 +1,39 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Solution of the solver's linear systems."""
+"""Linear systems of the solver: the damped Gauss-Newton step of the light."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import torch
+
+DAMPING = 1e-3  # fraction of the Hessian's diagonal that is added to it (Levenberg-Marquardt)
+MAX_LOG_STEP = 1  # largest change of a texel's log radiance in a step
+
+
+def damped_step(
+    light: torch.Tensor, hessians: Sequence[torch.Tensor], gradient: torch.Tensor, smoothness: torch.Tensor
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Compute a damped Gauss-Newton step of the logarithm of a light.
+
+    Args:
+        light: (T, 3) linear radiance of the texels, > 0.
+        hessians: (T, T) of each channel's error, with respect to the light.
+        gradient: (T, 3) of the error, with respect to the light.
+        smoothness: (T, T) quadratic form of a channel's log radiance that is added to the error.
+
+    Returns:
+        (T, 3) to be subtracted from the log radiance, and the curvature (3,) of the error in each channel's log brightness.
+    """
+    steps, curvature = [], []
+    for c, linear in enumerate(hessians):
+        radiance = light[:, c]
+        hessian = radiance[:, None] * linear * radiance  # with respect to the logarithm of the light
+        damped = hessian + smoothness + torch.diag(DAMPING * hessian.diagonal() + 1e-10)
+        right = radiance * gradient[:, c] + smoothness @ radiance.log()
+        steps.append(solve_positive(damped.double(), right.double()).float())
+        curvature.append(hessian.sum())
+    return torch.stack(steps, 1).clamp(-MAX_LOG_STEP, MAX_LOG_STEP), torch.stack(curvature)
 
 
 def solve_positive(matrix: torch.Tensor, right: torch.Tensor) -> torch.Tensor:

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Prior of the albedo: one constant at first, then the mean of like colours, across brightness more than across tints."""
 
+import pytest
 import torch
-from irgspp.core.stages.second.solver.albedo_prior import CONSTANT_STEPS, albedo_prior, colour_likeness
+from irgspp.core.stages.second.solver.albedo_prior import CONSTANT_STEPS, RELEASE_WEIGHTS, SETTLING_WEIGHT, albedo_prior, colour_likeness
 
 RED, BLUE = torch.tensor([0.5, 0.2, 0.1]), torch.tensor([0.1, 0.2, 0.5])
 
@@ -33,6 +34,15 @@ def test_dark_and_bright_paint_of_one_tint_are_pulled_together():
 def test_very_different_brightness_of_one_tint_is_kept():
     target, _ = targets(RED, 0.1 * RED)
     assert (target[1] < 0.13 * RED).all()
+
+
+def test_weight_falls_by_steps_unless_it_is_given():
+    points = torch.stack([RED, BLUE])
+    cases = ((CONSTANT_STEPS, None), (40, None), (40, SETTLING_WEIGHT))
+    weights = [albedo_prior(points, done, 0.5, torch.Generator().manual_seed(0), given)[1] for done, given in cases]
+    first, last, settling = (float(weight.mean()) for weight in weights)
+    assert first > settling > last
+    assert settling / last == pytest.approx(SETTLING_WEIGHT / RELEASE_WEIGHTS[1], rel=1e-3)
 
 
 def test_likeness_is_symmetric_and_one_for_equals():
