@@ -226,7 +226,7 @@ class LightMaterialSolver:
         self._age = 0  # steps for which the Hessian has counted
 
     def _step(self, done: int, prior_weight: float | None = None) -> None:
-        """Solve the albedo for the light, then do a Gauss-Newton step of the light without the albedo; see `albedo_prior` for the weight."""
+        """Solve the albedo, then do a Gauss-Newton step of the light with the albedo eliminated; see `albedo_prior` for the weight."""
         samples, y = self.samples, self.samples.colour
         factor, rest = self._model.terms(self.light)
         error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
