@@ -114,10 +114,12 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
         advance=lambda step: done.append("step"),
         grow_metal=lambda: done.append("grow"),
         turn_metal=lambda: done.append("turn"),
+        settle=lambda: done.append("settle") or 0.0,
         reduce_tint=lambda: done.append("tint"),
     )
     run_solver(solver)
-    assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["tint"]
+    settles = not solver.is_mostly_metal
+    assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["settle"] * settles + ["tint"]
 
 
 def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
