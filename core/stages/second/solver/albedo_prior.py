@@ -14,7 +14,7 @@ RELEASE_WEIGHTS = (1.0, 0.03)  # first and last weight after these
 # Weight while light and roughness settle: the albedo is fitted again afterwards, and the light gains (rocker_corner 14.2 dB, and 13.3 with
 # the last weight above).
 SETTLING_WEIGHT = 0.1
-CONSTANT_WEIGHT = 1e3  # weight in these, far above that of a point's samples
+CONSTANT_WEIGHT = 1e3  # weight in the first steps, far above that of a point's samples
 MIN_ALBEDO = 0.02  # least albedo by which the weight is divided
 SAME_COLOUR_DIFFERENCE = 0.15  # difference in log albedo below which two points count as being of one colour
 # Difference in mean log albedo below which two points of equal tint do. Where only dim light arrives, such as under a plate, brighter light

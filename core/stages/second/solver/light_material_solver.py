@@ -183,7 +183,7 @@ class LightMaterialSolver:
     def settle(self) -> float:
         """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change.
 
-        That of metal stays: it was found together with the normals.
+        The roughness of metal stays: it was found together with the normals.
         """
         before, metal = self.roughness, self.metallic > 0
         likely = self._search.likely_roughness(self._costs(), metal, self.albedo)
