@@ -216,13 +216,18 @@ def frame_selected() -> Iterator[float]:
     yield 1.0
 
 
-def open_image_editor() -> bpy.types.Area:
-    """Open an Image Editor in a part of the 3D View's area."""
+def open_editor(kind: str, direction: str = "VERTICAL") -> bpy.types.Area:
+    """Open another editor in a part of the 3D View's area.
+
+    Args:
+        kind: type of the editor, such as "IMAGE_EDITOR".
+        direction: "VERTICAL" for a part beside the view, "HORIZONTAL" for one below it.
+    """
     before = {area.as_pointer() for area in driver.window().screen.areas}
     with driver.override():
-        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
+        bpy.ops.screen.area_split(direction=direction, factor=0.4)
     new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
-    new.ui_type = "IMAGE_EDITOR"
+    new.ui_type = kind
     return new
 
 

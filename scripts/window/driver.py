@@ -194,6 +194,18 @@ def click_here(button: int = 1) -> None:
     subprocess.Popen(["xdotool", "mousedown", str(button), "sleep", "0.15", "mouseup", str(button)])
 
 
+def press(event: str, button: int = 1) -> None:
+    """Hold or release a mouse button where the mouse is, for a drag.
+
+    Args:
+        event: "mousedown" or "mouseup".
+        button: 1 for the left one.
+    """
+    global presses
+    presses += event == "mousedown"
+    subprocess.Popen(["xdotool", event, str(button)])
+
+
 def key(name: str) -> None:
     """Press a key."""
     global presses

@@ -53,7 +53,7 @@ def arguments() -> argparse.Namespace:
     parser.add_argument("--engine", default=os.environ.get("IRGSPP_PYTHON", ""), help="Python with the engine (default: $IRGSPP_PYTHON)")
     parser.add_argument("-o", dest="output", type=Path, required=True, help="folder for the images")
     parser.add_argument("--story", choices=STORIES, default="story_first_day", help="story to run (default: story_first_day)")
-    parser.add_argument("--run", type=Path, help="a finished run's folder, for story_relight and story_result; a copy is used")
+    parser.add_argument("--run", type=Path, help="a finished run's folder, for the stories of one; a copy is used")
     parser.add_argument("--photographs", type=Path, help="a folder of photographs without cameras, for story_capture; a copy is used")
     parser.add_argument("--blender", default="blender", help="Blender's executable")
     parser.add_argument("--size", default="1600x1000", help="of the window (default: 1600x1000)")
@@ -61,7 +61,7 @@ def arguments() -> argparse.Namespace:
     args = parser.parse_args()
     if args.run:
         os.environ["IRGSPP_RUN"] = str(args.run.resolve())
-    elif args.story in ("story_relight", "story_result"):
+    elif args.story in ("story_library", "story_relight", "story_result"):
         parser.error(f"--run is needed for {args.story}")
     if args.photographs:
         os.environ["IRGSPP_PHOTOGRAPHS"] = str(args.photographs.resolve())

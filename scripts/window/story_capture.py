@@ -6,7 +6,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
-from collections.abc import Generator, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
@@ -81,7 +81,8 @@ def look_at_masks() -> Iterator[float]:
     camera.select_set(True)
     bpy.context.view_layer.objects.active = camera
     yield 1.0
-    editor = yield from open_image_editor()
+    editor = browsing.open_editor("IMAGE_EDITOR")
+    yield 1.0
     yield from browsing.press_button("irgspp.edit_mask")
     yield 3.0
     masks = driver.extension_module("irgspp_addon.importer.mask_image")
@@ -105,17 +106,6 @@ def look_at_masks() -> Iterator[float]:
     with bpy.context.temp_override(window=driver.window(), area=editor):
         bpy.ops.screen.area_close()
     yield 1.0
-
-
-def open_image_editor() -> Generator[float, None, bpy.types.Area]:
-    """Open an Image Editor in a part of the 3D View's area, and return it."""
-    before = {area.as_pointer() for area in driver.window().screen.areas}
-    with driver.override():
-        bpy.ops.screen.area_split(direction="VERTICAL", factor=0.4)
-    new = next(area for area in driver.window().screen.areas if area.as_pointer() not in before)
-    new.ui_type = "IMAGE_EDITOR"
-    yield 1.0
-    return new
 
 
 def paint_across(place: bpy.types.Region) -> None:

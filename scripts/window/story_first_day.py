@@ -126,7 +126,7 @@ def relight(hdri: Path) -> Iterator[float]:
     yield from browsing.confirm_files("10_hdri", directory=hdri.parent, file=hdri.name)
     yield from driver.wait(lambda: bpy.context.scene.world.name == hdri.stem, 10)
     controls = driver.extension_module("irgspp_addon.world.light_controls").light_controls(bpy.context.scene.world)
-    editor = browsing.open_image_editor()
+    editor = browsing.open_editor("IMAGE_EDITOR")
     yield 1.0
     yield from browsing.frame_selected()
     yield from browsing.press_button("irgspp.relight_preview")

@@ -60,7 +60,7 @@ def fade_photograph() -> Iterator[float]:
 
 def start_preview() -> Iterator[float]:
     """Start the preview beside the 3D View."""
-    browsing.open_image_editor()
+    browsing.open_editor("IMAGE_EDITOR")
     yield 1.0
     yield from browsing.frame_selected()
     yield from browsing.press_button("irgspp.relight_preview")
