@@ -94,7 +94,7 @@ def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, traced: TracedDir
         point: (K,) int64 point of each view.
         view: (K, 3) unit, towards the eye.
         normal: (P, 3) unit normals of the points.
-        alphas: (J,) GGX widths, the same for all views.
+        alphas: (J,) GGX widths, the same for all views; 63 at most.
         traced: as for `lobe_rows`.
         strata: as for `lobe_rows`.
         light: (texels, 3) linear radiance, `texels` a multiple of 8.
