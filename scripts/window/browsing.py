@@ -88,7 +88,7 @@ def open_panels(*names: str) -> None:
 
 
 def reach(button: str, across: float = 0.4, part: str = "") -> Generator[float, None, tuple[float, float]]:
-    """Move the mouse to a button, wherever the sidebar has to be scrolled to.
+    """Move the mouse to a button, wherever the sidebar has to be scrolled to, and note how long it took.
 
     Args:
         button: operator or property of the button.
@@ -101,6 +101,14 @@ def reach(button: str, across: float = 0.4, part: str = "") -> Generator[float, 
     Raises:
         RuntimeError: where there is no such button.
     """
+    began = time.monotonic()
+    place = yield from _find_scrolling(button, across, part)
+    timing.searches.append(time.monotonic() - began)
+    return place
+
+
+def _find_scrolling(button: str, across: float, part: str) -> Generator[float, None, tuple[float, float]]:
+    """Find a button in what the sidebar shows, then from its top to its end."""
     try:
         return (yield from driver.find(button, across=across, part=part))
     except RuntimeError:

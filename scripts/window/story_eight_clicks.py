@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Story of the shortest way to a relit object: from Blender's open window, with an engine set up, to the demo under another light.
 
-Each press of a mouse button or key counts, and each second: also those of the robot, which looks for buttons more slowly than a person.
+Each press of a mouse button or key counts, and each second, but that the robot looks for buttons more slowly than a person: a button counts
+as found in `timing.FINDING` seconds.
 """
 
 import os
@@ -28,7 +29,7 @@ def story() -> Iterator[float]:
     yield from browsing.engine_ready()
     tab = yield from find_tab()
     driver.shot("90_open_window")
-    began, presses, computed_before = time.monotonic(), driver.presses, computed()
+    began, presses, searches, computed_before = time.monotonic(), driver.presses, len(timing.searches), computed()
     yield from show_tab(*tab)
     yield from try_demo()
     at_result, engine_seconds = time.monotonic() - began, computed() - computed_before
@@ -36,9 +37,11 @@ def story() -> Iterator[float]:
     seconds, clicks = time.monotonic() - began, driver.presses - presses
     driver.shot("95_relit")
     timing.figures["clicks"] = f"{clicks} (limit {MOST_CLICKS})"
-    timing.figures["to the result"] = f"{at_result:.1f} s, of which the engine computed {engine_seconds:.0f} s on all processors together"
+    timing.figures["to the result"] = (
+        f"{at_result:.1f} s with the robot's search, of which the engine computed {engine_seconds:.0f} s on all processors together"
+    )
     assert clicks <= MOST_CLICKS, timing.figures["clicks"]
-    timing.within("to the relit object", seconds, MOST_SECONDS)
+    timing.within("to the relit object", timing.by_person(seconds, searches), MOST_SECONDS)
 
 
 def computed() -> float:

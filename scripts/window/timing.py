@@ -11,9 +11,11 @@ import bpy
 from extension import extension_module
 
 BLOCKED = 0.05  # seconds for which a call may block Blender's interface
+FINDING = 3.0  # seconds in which a person finds a button; the robot moves the mouse down the whole sidebar
 LOAD = os.getloadavg()[0]  # processes that wanted to compute before the story began
 
 figures: dict[str, str] = {}  # what a story has measured, for its result
+searches: list[float] = []  # seconds that the robot took to find each button
 _times: dict[str, list[float]] = {}  # seconds of each call, by its label
 _before: dict[str, int] = {}  # number of calls before `begin`, by label
 
@@ -31,6 +33,18 @@ def within(name: str, seconds: float, limit: float) -> None:
     busy = f", {allowed:.0f} s at a load of {LOAD:.1f} on {processors} processors" if allowed > limit else ""
     figures[name] = f"{seconds:.1f} s (limit {limit:g} s{busy})"
     assert seconds <= allowed, f"{name}: {figures[name]}"
+
+
+def by_person(seconds: float, begun: int) -> float:
+    """Return the seconds that a person would have taken, who finds each button in FINDING, and note the robot's.
+
+    Args:
+        seconds: that the robot took.
+        begun: number of `searches` when it began.
+    """
+    searched = searches[begun:]
+    figures["with the robot's search"] = f"{seconds:.1f} s, {sum(searched):.1f} s of them in search of {len(searched)} buttons"
+    return seconds - sum(searched) + FINDING * len(searched)
 
 
 def begin() -> None:
