@@ -17,7 +17,7 @@ import timing
 
 # Schedules of seconds, but for the first stage: it has to last until a slow robot cancels it, and is finished early afterwards
 SETTINGS = (
-    "first.iterations=4000 first.gaussians=3000 first.stereo=off second.points=300 second.rows=8 second.iterations=5 second.pixels=32 "
+    "first.iterations=20000 first.gaussians=3000 first.stereo=off second.points=300 second.rows=8 second.iterations=5 second.pixels=32 "
     "second.samples=8 second.pool=1000 second.radiance_iterations=5 second.normal_iterations=4 surface.voxels=64 surface.triangles=4000 "
     "surface.texture=256"
 )
