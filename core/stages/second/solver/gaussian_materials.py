@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Assignment of materials to Gaussians: roughness and metallic from the solver's points, albedo fitted under the solved light."""
+"""Assignment of materials to Gaussians: roughness and metallic from the solver's points, albedo fitted under the solved light.
+
+The albedo of a dielectric has a prior, as during the solution (`likely_albedo`); that of a metal is a median over its neighbourhood.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -16,10 +20,11 @@ from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ...common.nearest_neighbours import nearest_neighbours
 from ..metal import METALLIC_THRESHOLD
+from .albedo_prior import likely_albedo
 from .light_material_solver import LightMaterialSolver
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
-from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, least_squares_albedo, view_terms
+from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, least_squares_albedo, robust_error, view_terms
 from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
@@ -29,6 +34,20 @@ BATCH = 4000  # Gaussians traced at a time
 REWEIGHTING_PASSES = 7  # passes of iteratively reweighted least squares after a first one with equal weights
 MEDIAN_NEIGHBOURS = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
 LOGIT_MARGIN = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
+
+
+class AlbedoFit(NamedTuple):
+    """Albedos of least error of P points.
+
+    Attributes:
+        albedo: (P, 3); it may lie outside 0..1.
+        precision: (P, 3) curvature of half the squared error.
+        error: (P,) robust error of a view, on average.
+    """
+
+    albedo: torch.Tensor
+    precision: torch.Tensor
+    error: torch.Tensor
 
 
 def assign_materials(
@@ -62,10 +81,11 @@ def assign_materials(
     position = g.position.T.contiguous().cpu().numpy()
     samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
     roughness, metallic = nearest_materials(solver.samples.position, solver.roughness, solver.metallic, samples.position)
-    albedo, known = torch.empty_like(samples.position), solver.transfer
-    for begin in range(0, len(albedo), BATCH):
+    count, known = len(samples.position), solver.transfer
+    fits = []
+    for begin in range(0, count, BATCH):
         part = slice(begin, begin + BATCH)
-        batch = samples.part(begin, min(begin + BATCH, len(albedo)))
+        batch = samples.part(begin, min(begin + BATCH, count))
         transfer = trace_radiance_transfer(
             batch.position,
             batch.normal,
@@ -75,9 +95,13 @@ def assign_materials(
             indirect=known.has_indirect,
             rotations=known.rotations,
         )
-        albedo[part] = fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part])
-        on_fraction(min(1.0, (begin + BATCH) / len(albedo)))
-    metal = metallic > 0
+        fits.append(fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part]))
+        on_fraction(min(1.0, (begin + BATCH) / count))
+    fit = AlbedoFit(*map(torch.cat, zip(*fits, strict=True)))
+    albedo, metal, known_metal = fit.albedo, metallic > 0, solver.metallic > 0
+    if not bool(metal.all() | known_metal.all()):
+        dielectric = AlbedoFit(*(values[~metal] for values in fit))
+        albedo[~metal] = likely_albedo(*dielectric, solver.albedo[~known_metal], seed)
     albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
     materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)
     return materials[nearest_neighbours(samples.position, g.position.T, 1)[:, 0]].T.contiguous()
@@ -129,7 +153,7 @@ def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:
 
 def fitted_albedo(
     samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor
-) -> torch.Tensor:
+) -> AlbedoFit:
     """Fit the albedo to the samples under a known light, by iteratively reweighted least squares with Cauchy weights.
 
     Args:
@@ -138,9 +162,6 @@ def fitted_albedo(
         light: (T, 3) linear radiance.
         roughness: (P,).
         metallic: (P,).
-
-    Returns:
-        (P, 3) albedo.
     """
     f0_term, fresnel_term, f0_indirect, fresnel_indirect = transfer.rows(samples, roughness)
     point, metal = samples.point, metallic[samples.point][:, None]
@@ -156,7 +177,8 @@ def fitted_albedo(
         fit = least_squares_albedo(samples, weight, factor, rest)
         # Where all samples of a point are clipped and the model is brighter, no sample tells more: the albedo stays as it is.
         albedo = torch.where(samples.sums(weight) > 0, fit, albedo)
-    return albedo
+    error = robust_error(samples, albedo[point] * factor + rest, derivative) / samples.lengths
+    return AlbedoFit(albedo, samples.sums(weight * factor * factor), error)
 
 
 def neighbourhood_medians(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

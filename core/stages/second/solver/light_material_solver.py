@@ -29,7 +29,7 @@ import torch
 
 from ...common.finite_check import require_finite
 from ..metal import MEAN_METALLIC_THRESHOLD
-from .albedo_prior import CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, SETTLING_WEIGHT, albedo_prior
+from .albedo_prior import ALBEDO_RANGE, CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, SETTLING_WEIGHT, albedo_prior
 from .light_prior import LightPrior
 from .linear_system import damped_step
 from .material_search import MaterialSearch
@@ -54,7 +54,6 @@ TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
 SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
 LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
-ALBEDO_RANGE = (0.005, 1.5)  # above 1, as the scale of the light is not known yet
 
 
 class LightMaterialSolver:

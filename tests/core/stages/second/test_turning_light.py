@@ -93,7 +93,7 @@ def test_albedo_and_light_are_found_which_are_missed_without_the_turns(scene, fo
 def test_albedo_is_fitted_under_the_light_of_each_photograph(scene):
     transfer, seen, truth = scene
     light, albedo, roughness, metallic = truth
-    fits = [fitted_albedo(seen, one, light, roughness, metallic) for one in (transfer, replace(transfer, rotations=None))]
+    fits = [fitted_albedo(seen, one, light, roughness, metallic).albedo for one in (transfer, replace(transfer, rotations=None))]
     errors = [float((fit / albedo - 1).abs().median()) for fit in fits]
     assert errors[0] < 0.03 < errors[1]
 

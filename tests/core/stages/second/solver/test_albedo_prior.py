@@ -1,9 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Prior of the albedo: one constant at first, then the mean of like colours, across brightness more than across tints."""
+"""Prior of the albedo: one constant at first, then the mean of like colours, across brightness more than tints; bad fits follow it."""
 
 import pytest
 import torch
-from irgspp.core.stages.second.solver.albedo_prior import CONSTANT_STEPS, RELEASE_WEIGHTS, SETTLING_WEIGHT, albedo_prior, colour_likeness
+from irgspp.core.stages.second.solver.albedo_prior import (
+    ALBEDO_RANGE,
+    CONSTANT_STEPS,
+    RELEASE_WEIGHTS,
+    SETTLING_WEIGHT,
+    albedo_prior,
+    colour_likeness,
+    likely_albedo,
+)
 
 RED, BLUE = torch.tensor([0.5, 0.2, 0.1]), torch.tensor([0.1, 0.2, 0.5])
 
@@ -50,3 +58,29 @@ def test_likeness_is_symmetric_and_one_for_equals():
     likeness = colour_likeness(colours, colours)
     assert torch.equal(likeness, likeness.T) and (likeness.diagonal() == 1).all()
     assert likeness[0, 1] < 0.01
+
+
+def test_albedos_that_fit_badly_are_pulled_to_like_ones():
+    random = torch.Generator().manual_seed(1)
+    truth = torch.stack([RED, BLUE]).repeat(200, 1)
+    error = torch.where(torch.rand(400, generator=random) < 0.5, 0.3, 3.0)
+    fit = truth * (0.05 * error[:, None] * torch.randn(400, 1, generator=random)).exp()  # wrong shading has no tint
+    likely = likely_albedo(fit, torch.full_like(fit, 2.0), error, truth, 0)
+    before, after = ((values / truth).log().abs().mean(1) for values in (fit, likely))
+    bad = error > 1
+    assert after[bad].mean() < 0.8 * before[bad].mean() and after[~bad].mean() < before[~bad].mean()
+    followed = ((likely - fit).abs() / (truth - fit).abs().clamp_min(1e-4)).mean(1)
+    assert followed[~bad].median() < 0.6 * followed[bad].median()
+
+
+def test_a_colour_of_its_own_stays_and_without_evidence_others_decide():
+    fit = torch.stack([RED, 0.9 * BLUE])
+    likely = likely_albedo(fit, torch.tensor([[1.0] * 3, [0.0] * 3]), torch.ones(2), BLUE.expand(50, 3), 0)
+    torch.testing.assert_close(likely[0], RED, rtol=0.02, atol=0)
+    torch.testing.assert_close(likely[1], BLUE, rtol=0.02, atol=0)
+
+
+def test_a_fit_outside_the_range_stays_within_it():
+    fit = torch.tensor([[-0.5, 0.3, 0.6], [9.0, 0.3, 0.6]])
+    likely = likely_albedo(fit, torch.ones(2, 3), torch.ones(2), RED.expand(50, 3), 0)
+    assert likely.isfinite().all() and likely.min() >= ALBEDO_RANGE[0] and likely.max() <= ALBEDO_RANGE[1]

@@ -87,11 +87,12 @@ def reconstruction(splat_sphere, glossy):
 def found(splat_sphere):
     """Results that the light-material solver would have at points of the sphere."""
     position = splat_sphere(400).position.T.contiguous()
-    metallic = materials(position.double().numpy())[1].float()
+    albedo, metallic = (values.float() for values in materials(position.double().numpy()))
     about = SimpleNamespace(texels=LightTexels.uniform(HEIGHT), has_indirect=True, rotations=None)
     light = torch.full((2 * HEIGHT**2, 3), SKY)
     seen = SimpleNamespace(position=position)
-    return SimpleNamespace(samples=seen, transfer=about, light=light, roughness=torch.full((400,), ROUGHNESS), metallic=metallic)
+    known = {"albedo": albedo, "roughness": torch.full((400,), ROUGHNESS), "metallic": metallic}
+    return SimpleNamespace(samples=seen, transfer=about, light=light, **known)
 
 
 def assigned(scene, surface, views, found, seed=0):
@@ -209,15 +210,23 @@ def lit(splat_sphere):
 
 def test_albedo_is_fitted_exactly_where_the_model_holds(lit):
     *problem, albedo = lit
-    np.testing.assert_allclose(fitted_albedo(*problem), albedo, rtol=1e-3, atol=1e-4)
+    np.testing.assert_allclose(fitted_albedo(*problem).albedo, albedo, rtol=1e-3, atol=1e-4)
 
 
 def test_an_unrelated_sample_has_no_weight(lit):
     seen, *problem, albedo = lit
     wrong = torch.arange(250)[:, None] % 5 == 2
     for strange in (0.0, 5.0):
-        fit = fitted_albedo(replace(seen, colour=torch.where(wrong, strange, seen.colour)), *problem)
+        fit = fitted_albedo(replace(seen, colour=torch.where(wrong, strange, seen.colour)), *problem).albedo
         assert ((fit - albedo).abs() / albedo).median() < 0.03
+
+
+def test_the_error_of_a_fit_tells_which_points_the_model_does_not_explain(lit):
+    seen, *problem, _ = lit
+    strange = (seen.point % 2 == 0)[:, None] & (torch.arange(250)[:, None] % 5 < 2)
+    fit = fitted_albedo(replace(seen, colour=torch.where(strange, 2.0, seen.colour)), *problem)
+    assert fit.error[0::2].min() > 1.0 > fit.error[1::2].max()
+    assert (fit.precision[1::2] > 0).all()
 
 
 def test_clipped_views_are_lower_bounds(lit):
@@ -225,13 +234,15 @@ def test_clipped_views_are_lower_bounds(lit):
     limit = 0.8 * seen.colour
     one = torch.arange(250)[:, None] % 5 == 2
     clipped = MultiViewSamples(seen.position, seen.normal, seen.point, seen.view, torch.where(one, limit, seen.colour), one.expand(-1, 3))
-    np.testing.assert_allclose(fitted_albedo(clipped, *problem), albedo, rtol=1e-2, atol=1e-3)
+    np.testing.assert_allclose(fitted_albedo(clipped, *problem).albedo, albedo, rtol=1e-2, atol=1e-3)
 
 
 def test_a_point_that_all_views_clip_is_as_bright_as_they_show_it(lit):
     """No view says how much brighter it is, but it must not become black."""
     seen, *problem, albedo = lit
     everywhere = (seen.point % 2 == 0)[:, None].expand(-1, 3)
-    fit = fitted_albedo(replace(seen, colour=torch.where(everywhere, 0.8 * seen.colour, seen.colour), saturated=everywhere), *problem)
+    fit = fitted_albedo(
+        replace(seen, colour=torch.where(everywhere, 0.8 * seen.colour, seen.colour), saturated=everywhere), *problem
+    ).albedo
     assert (fit[0::2] > 0.5 * albedo[0::2]).all() and (fit[0::2] < 1.01 * albedo[0::2]).all()
     np.testing.assert_allclose(fit[1::2], albedo[1::2], rtol=1e-3, atol=1e-4)
