@@ -7,6 +7,8 @@ that fit badly are pulled more: where a normal is wrong, the albedo is wrong, to
 
 from __future__ import annotations
 
+import math
+
 import torch
 
 # Albedos to start from. From a medium one, the solver does not find the light of a dark glossy object, which is far brighter: it paints the
@@ -51,7 +53,8 @@ def albedo_prior(
     if done < CONSTANT_STEPS:
         return torch.full_like(albedo, start), torch.full_like(albedo, CONSTANT_WEIGHT)
     if weight is None:
-        weight = RELEASE_WEIGHTS[0] * (RELEASE_WEIGHTS[1] / RELEASE_WEIGHTS[0]) ** min(1.0, (done - CONSTANT_STEPS) / RELEASE_STEPS)
+        first, last = RELEASE_WEIGHTS
+        weight = first * math.pow(last / first, min(1.0, (done - CONSTANT_STEPS) / RELEASE_STEPS))
     mean, pull = _similar_mean(albedo, _chosen(albedo, generator))
     return mean, weight * pull + 1e-6
 
