@@ -24,6 +24,8 @@ import torch
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .cpu.lobes import lobe_rows_range, lobe_sums_range
 
+MAX_WIDTHS = 63  # of lobes that are integrated at a time: bits of an integer
+
 
 class TracedDirections(NamedTuple):
     """Precomputed transport from D directions to P points, as float32 arrays (CPU) or tensors (GPU).
@@ -103,8 +105,10 @@ def lobe_sums(point: Any, view: Any, normal: Any, alphas: Any, traced: TracedDir
         The part that F0 scales and the part that Fresnel adds, (K, J, 3) each.
 
     Raises:
-        ValueError: D is no multiple of the texels, or these no multiple of 8.
+        ValueError: D is no multiple of the texels, these no multiple of 8, or there are too many widths.
     """
+    if len(alphas) > MAX_WIDTHS:
+        raise ValueError(f"{len(alphas)} widths of a lobe, at most {MAX_WIDTHS} are possible")
     k, texels = len(point), len(light)
     subs = _subdivisions(traced, texels)
     if isinstance(view, torch.Tensor):

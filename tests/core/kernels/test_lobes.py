@@ -139,6 +139,12 @@ def test_texels_must_be_a_multiple_of_8(scene):
         lobe_sums(point, view, normal, ALPHAS, traced, strata, np.ones((24, 3), np.float32))
 
 
+def test_more_widths_than_bits_are_refused(scene):
+    point, view, normal, traced, strata = scene
+    with pytest.raises(ValueError, match="at most 63"):
+        lobe_sums(point, view, normal, np.full(64, 0.5, np.float32), traced, strata, np.ones((24, 3), np.float32))
+
+
 def test_few_directions_integrate_a_narrow_lobe(scene):
     """Under a light of equal texels, sums of narrow lobes are those of 64 times as many directions to a few per cent."""
     point, view, normal, _, _ = scene
