@@ -14,6 +14,7 @@ import bpy
 import browsing
 import driver
 import numpy as np
+import preview
 import timing
 
 LIBRARY = "Reconstructions"  # name of the asset library
@@ -79,7 +80,7 @@ def append(file: Path, name: str) -> Iterator[float]:
 
 
 def drag_linked(folder: Path) -> Iterator[float]:
-    """Drag the object from the Asset Browser, which links it, into the 3D View of a new file.
+    """Drag the object from the Asset Browser, set to link, into the 3D View of a new file.
 
     Args:
         folder: of the asset library.
@@ -126,29 +127,20 @@ def relight(image: str) -> Iterator[float]:
     """
     yield from driver.open_sidebar("IRGS++")
     yield from browsing.press_button("irgspp.relight_preview")
-    yield from finished()
+    yield from preview.finished()
+    yield 1.0
     driver.shot(image)
     assert seen() > SEEN, seen()
 
 
 def move_and_relight() -> Iterator[float]:
     """Move the override, which the preview has to follow."""
-    before = pixels()
+    before = preview.pixels()
     (thing,) = objects()
     thing.location.x += 0.3 * max(thing.dimensions)
-    yield from driver.wait(lambda: not np.array_equal(pixels(), before), 60)
-    yield from finished()
+    yield from preview.updated(before)
     driver.shot("68_moved")
     assert seen() > SEEN, seen()
-
-
-def finished() -> Iterator[float]:
-    """Wait for the finished preview."""
-    live_image, preview = (driver.extension_module(f"irgspp_addon.relight.{name}") for name in ("live_image", "preview"))
-    follower = live_image.follower_of(preview.CHANNEL)
-    yield from driver.wait(lambda: follower.done or follower.failed, 180)
-    assert not follower.failed, follower.message
-    yield 1.0
 
 
 def new_file() -> Iterator[float]:
@@ -196,15 +188,7 @@ def assert_textures(thing: bpy.types.Object) -> None:
 
 def seen() -> float:
     """Return the fraction of the preview's pixels that the object covers."""
-    return float((pixels()[..., 3] > 0.5).mean())
-
-
-def pixels() -> np.ndarray:
-    """Return the preview's pixels (H, W, 4)."""
-    image = bpy.data.images[driver.extension_module("irgspp_addon.relight.preview").IMAGE]
-    values = np.empty(image.size[0] * image.size[1] * 4, np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(image.size[1], image.size[0], 4)
+    return float((preview.pixels()[..., 3] > 0.5).mean())
 
 
 driver.run_story(story)

@@ -7,14 +7,13 @@ import sys
 import tempfile
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 
 sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
 import browsing
 import driver
-import numpy as np
+import preview
 import timing
 from mathutils import Vector
 
@@ -64,16 +63,15 @@ def start_preview() -> Iterator[float]:
     yield 1.0
     yield from browsing.frame_selected()
     yield from browsing.press_button("irgspp.relight_preview")
-    yield from driver.wait(lambda: follower().done or follower().failed, 120)
-    assert not follower().failed, follower().message
+    yield from preview.finished()
     driver.shot("71_preview")
 
 
 def choose_thumbnail() -> Iterator[float]:
     """Choose one of Blender's HDRIs by its thumbnail."""
-    unchanged = pixels()
+    unchanged = preview.pixels()
     yield from browsing.choose_hdri("72_thumbnails")
-    yield from updated(unchanged)
+    yield from preview.updated(unchanged)
     driver.shot("73_other_hdri")
     driver.sidebar_shot("73_other_hdri_sidebar")
 
@@ -93,31 +91,31 @@ def drag_light() -> Iterator[float]:
     yield 1.0
     rotation = controls(bpy.context.scene.world).rotation.default_value[2]
     assert abs(rotation - before) > 0.5, (before, rotation)
-    yield from updated()
+    yield from preview.updated()
     driver.shot("75_dragged")
 
 
 def add_lamp() -> Iterator[float]:
     """Add a lamp on the side that is seen, which lights the object in the preview too."""
-    before, view = pixels(), driver.view3d().spaces[0].region_3d
+    before, view = preview.pixels(), driver.view3d().spaces[0].region_3d
     place = view.view_location + view.view_rotation @ Vector((0.0, 0.0, 3.0))
     with driver.override():
         bpy.ops.object.light_add(type="AREA", location=place, rotation=view.view_rotation.to_euler())
     bpy.context.object.data.energy, bpy.context.object.data.color = 300.0, (1.0, 0.3, 0.1)
-    yield from updated(before)
+    yield from preview.updated(before)
     driver.shot("76_lamp")
-    after = pixels()
+    after = preview.pixels()
     assert after[..., 0].sum() > 1.1 * before[..., 0].sum(), "the lamp does not light the object"
 
 
 def cast_shadow() -> Iterator[float]:
     """Switch the ground shadow on by its button."""
-    before = pixels()
+    before = preview.pixels()
     yield from browsing.press_button("ground_shadow", across=0.5)
     assert bpy.context.scene.irgspp.ground_shadow
-    yield from updated(before)
+    yield from preview.updated(before)
     driver.shot("77_ground_shadow")
-    assert pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the image has no shadow"
+    assert preview.pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the image has no shadow"
     yield from browsing.press_button("irgspp.relight_stop")
 
 
@@ -149,37 +147,6 @@ def mark_asset() -> Iterator[float]:
     yield from driver.wait(lambda: thing.asset_data is not None, 60)
     yield 1.0
     driver.sidebar_shot("81_asset")
-
-
-def follower() -> Any:
-    """Return the follower of the preview."""
-    live_image, preview = (driver.extension_module(f"irgspp_addon.relight.{name}") for name in ("live_image", "preview"))
-    return live_image.follower_of(preview.CHANNEL)
-
-
-def updated(before: np.ndarray | None = None) -> Iterator[float]:
-    """Wait until the preview has followed a change.
-
-    Args:
-        before: the preview's pixels before the change; None where it may have followed already.
-    """
-    if before is not None:  # an update can be over before this looks at it
-        yield from driver.wait(lambda: not np.array_equal(pixels(), before), 20, step=0.1)
-    shown = np.empty(0)
-    while not np.array_equal(pixels(), shown):  # a change that was just made is not noticed at once
-        yield from driver.wait(lambda: follower().done or follower().failed, 120)
-        assert not follower().failed, follower().message
-        shown = pixels()
-        yield 1.5
-
-
-def pixels() -> np.ndarray:
-    """Return the preview's pixels (H, W, 4)."""
-    image = bpy.data.images[driver.extension_module("irgspp_addon.relight.preview").IMAGE]
-    width, height = image.size
-    values = np.empty(width * height * 4, np.float32)
-    image.pixels.foreach_get(values)
-    return values.reshape(height, width, 4)
 
 
 driver.run_story(story)

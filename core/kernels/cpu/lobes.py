@@ -80,11 +80,11 @@ def _mean_lobe(strata, at, vx, vy, vz, nx, ny, nz, n_v, a2):
 
 
 @helper
-def _listed(narrow, count, at, lanes, factor, offset):
-    """Append `factor` (at + lane) + `offset` to the list `narrow` of `count` entries for each bit of `lanes`; return the new count."""
+def _listed(narrow, count, at, lanes):
+    """Append at + lane to the list `narrow` of `count` entries for each bit of `lanes`; return the new count."""
     for lane in range(8):
         if lanes >> lane & 1:
-            narrow[count] = factor * (at + lane) + offset
+            narrow[count] = at + lane
             count += 1
     return count
 
@@ -114,7 +114,7 @@ def lobe_rows_range(
                 value, weight, spread = _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero), a2)
                 angle = load(solid_angle, at)
                 peak = (spread < angle * _NARROW) & (n_l > _ZERO)
-                listed = _listed(narrow, listed, at, bits(peak), 1, 0)
+                listed = _listed(narrow, listed, at, bits(peak))
                 value = select(peak, zero, value * angle)
                 bias = value * weight
                 value = value - bias

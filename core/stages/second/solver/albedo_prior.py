@@ -73,8 +73,8 @@ def likely_albedo(fit: torch.Tensor, precision: torch.Tensor, error: torch.Tenso
         (N, 3) in ALBEDO_RANGE.
     """
     albedo, others = fit.clamp(*ALBEDO_RANGE), _chosen(others, torch.Generator().manual_seed(seed))
-    noise = error.sort().values[int(FIT_QUANTILE * (len(error) - 1))].clamp_min(1e-9)
-    weight = FIT_WEIGHT * (error / noise).clamp_min(1.0)[:, None]
+    small = error.sort().values[int(FIT_QUANTILE * (len(error) - 1))].clamp_min(1e-9)
+    weight = FIT_WEIGHT * (error / small).clamp_min(1.0)[:, None]
     for begin in range(0, len(fit), BATCH):
         part = slice(begin, begin + BATCH)
         for _ in range(FIT_PASSES):
@@ -85,7 +85,7 @@ def likely_albedo(fit: torch.Tensor, precision: torch.Tensor, error: torch.Tenso
 
 
 def _chosen(albedo: torch.Tensor, generator: torch.Generator) -> torch.Tensor:
-    """Choose COMPARED_POINTS albedos at random."""
+    """Choose COMPARED_POINTS albedos (P, 3) at random, or all where there are fewer."""
     return albedo[torch.randperm(len(albedo), generator=generator)[:COMPARED_POINTS].to(albedo.device)]
 
 
