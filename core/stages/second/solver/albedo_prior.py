@@ -28,8 +28,8 @@ SAME_COLOUR_DIFFERENCE = 0.15  # difference in log albedo below which two points
 # on a darker surface looks the same but for gloss; the same paint elsewhere tells them apart.
 SAME_TINT_DIFFERENCE = 0.45
 COMPARED_POINTS = 1000  # points that each point's colour is compared with
-# Weight of the prior under the solved light. It rises in proportion to the error of a fit, from this quantile of all errors on. With its
-# square, rocker_corner's albedo gains another .5 dB, but relit and new views lose .1 and .3 dB.
+# Weight of the prior under the solved light. It rises in proportion to the error of a fit, from this quantile of all errors on. With the
+# square of the error, and 12 steps, rocker_corner's albedo gained .7 dB, but relit and new views lost .1 and .3 dB.
 FIT_WEIGHT, FIT_QUANTILE = 0.1, 0.25
 FIT_PASSES = 4  # fixed-point steps to the likely albedo
 BATCH = 10_000  # albedos compared with others at a time
