@@ -20,7 +20,7 @@ from .detail.albedo_detail import detailed_by_dataset
 from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
-from .io.run_files import CAPTURE, check_claim
+from .io.run_files import CAPTURE, SURFACE, check_claim
 from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
 from .machine.cpu_memory import check_texture_memory
@@ -39,6 +39,7 @@ from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .scene.reconstruction import Reconstruction
 from .scene.surface import Surface
+from .scene.surface_ply import save_surface_ply
 from .settings import overrides
 from .settings.schema import Settings, paced
 from .settings.sizes import with_sizes, with_texture_size
@@ -54,6 +55,7 @@ from .stages.second.solve import solve_second_stage
 from .stages.second.solver.transfer_tracing import rays_at_a_time
 from .surface.extraction import extract_geometry
 from .surface.meshing import Triangles
+from .surface.normal_source import run_normal_source
 from .surface.texturing import textured_mesh
 from .surface.unwrap_process import UnwrapProcess
 
@@ -261,18 +263,19 @@ class Job:
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
             mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texels
             self.unwrapping = UnwrapProcess(mesh, texture, self.folder.path / UNWRAP)
-        solved, scale = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
-        self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * scale, 3)
-        solved.save(self.folder.path)
+        solved = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
+        self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * solved.schedule_scale, 3)
+        save_surface_ply(solved.surface, self.folder.path / SURFACE)
+        solved.reconstruction.save(self.folder.path)
 
     def surface(self) -> None:
         """Unwrap the surface, bake the Gaussians' materials onto it, and add the photographs' detail to its albedo."""
-        solved = self.results.reconstruction
-        samples, views = solved.surface_samples(), GBufferCache(solved, [view.camera for view in self.data.train])
+        solved, cameras = self.results.reconstruction, {view.name: view.camera for view in self.data.train}
+        samples, views = solved.surface_samples(), GBufferCache(solved, list(cameras.values()))
         moved = self.settings.second.solver != "closed" and has_moved(solved, self.results.first_stage)
         surface = self._surface_of(solved) if moved else self.results.surface
-        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping)
-        cameras = {view.name: view.camera for view in self.data.train}
+        normals = run_normal_source(self.folder.path, self.settings.surface.detail, list(cameras.values()))
+        mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping, normals)
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()
         why = self.folder.state["textures"]["why"]

@@ -23,7 +23,8 @@ from ..settings.schema import SurfaceSettings
 from ..surface.extraction import extract_levels
 from ..surface.height import HeightMap, height_map
 from ..surface.meshing import Triangles, vertex_normals
-from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, surface_noise, textured_mesh
+from ..surface.normal_source import NormalSource, run_normal_source, surface_noise
+from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .quad_mesh import quad_mesh
 
@@ -97,11 +98,12 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, noise
         _check_place(given, reconstruction, target.edited)
     cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
     views = GBufferCache(reconstruction, cameras)
-    surface, fine = _surfaces(reconstruction, views, settings, target, progress)
-    if not target.keeps_mesh and fine is not None:
-        noise = surface_noise(fine, views, reconstruction.surface_samples())
-    mesh = _baked(run, given or surface, reconstruction, views, settings, noise, progress)
-    heights = height_map(mesh, fine, settings.texels) if target.height and fine is not None else None
+    surface, fused = _surfaces(reconstruction, views, settings, target, progress)
+    if not target.keeps_mesh and fused is not None:
+        noise = surface_noise(fused, views, reconstruction.surface_samples())
+    normal_source = run_normal_source(run, settings.detail, cameras, noise)
+    mesh = _baked(run, given or surface, reconstruction, views, settings, normal_source, progress)
+    heights = height_map(mesh, fused, settings.texels) if target.height and fused is not None else None
     if heights is not None:
         mesh = dataclasses.replace(mesh, textures={**mesh.textures, "height": heights.image})
     return Rebaked(mesh, reconstruction, heights, noise)
@@ -126,25 +128,25 @@ def _baked(
     reconstruction: Reconstruction,
     views: GBufferCache,
     settings: SurfaceSettings,
-    noise: float | None,
+    normal_source: NormalSource,
     progress: Progress,
 ) -> Mesh:
     """Return the edited mesh or the new surface, else the run's own mesh, with textures."""
     samples = reconstruction.surface_samples()
     if isinstance(given, Surface):
-        return textured_mesh(given, views, samples, settings, progress, noise=noise)
+        return textured_mesh(given, views, samples, settings, progress, normal_source=normal_source)
     voxel = make_grid(views, samples, reconstruction.bound, settings).voxel
     if given is not None:
         normals = vertex_normals(Triangles(given.vertices, given.faces)) if given.normals is None else given.normals
         edited = Surface(given.vertices, normals, given.faces, voxel)
         if given.uvs is None:
-            mesh = textured_mesh(edited, views, samples, settings, progress, noise=noise)
+            mesh = textured_mesh(edited, views, samples, settings, progress, normal_source=normal_source)
         else:
-            mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress, noise)
+            mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress, normal_source)
         return dataclasses.replace(mesh, quads=joined_quads(mesh.faces, given.quads))
     mesh = load_mesh_ply(run / "mesh.ply")
     progress.phase("bake", len(views))
-    return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress), noise))
+    return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress), normal_source))
 
 
 def _check_place(mesh: EditedMesh, reconstruction: Reconstruction, path: Path) -> None:

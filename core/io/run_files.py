@@ -11,7 +11,8 @@ from pathlib import Path
 from ..errors import InputError
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
-RESULTS += ("mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
+SURFACE = "surface.ply"  # fine surface with the normals of the second stage, where it found them
+RESULTS += (SURFACE, "mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
 CAPTURE = "capture"  # folder of the captured dataset, where photographs came without cameras
 FOLDERS = (CAPTURE, "checkpoint", "textures", "evaluation", "photographs", "previews")
 LOGS = ("events.jsonl", "log.txt", "cancel", "finish")

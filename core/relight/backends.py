@@ -11,9 +11,9 @@ import torch
 from ..errors import InputError
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
-from .albedo_texture import load_albedo_texture
 from .gaussian_query import GaussianQuery
 from .mesh_query import MeshQuery
+from .mesh_texture import load_albedo_texture, load_normal_texture
 from .relight_settings import RelightSettings
 from .relighter import Relighter
 
@@ -26,7 +26,7 @@ def best_backend(run: Path) -> Backend:
 
 
 def load_mesh_query(run: Path, radius: float, device: torch.device) -> MeshQuery | None:
-    """Load the mesh of a run, with its albedo texture where that is finer than the Gaussians; None where the run has no mesh.
+    """Load the mesh of a run with its normal texture, and its albedo texture where that is finer than the Gaussians; None without a mesh.
 
     Args:
         run: run folder.
@@ -40,7 +40,7 @@ def load_mesh_query(run: Path, radius: float, device: torch.device) -> MeshQuery
     if not file.is_file():
         return None
     mesh = load_mesh_ply(file)
-    return MeshQuery(mesh, radius, device, load_albedo_texture(run, mesh, device))
+    return MeshQuery(mesh, radius, device, load_albedo_texture(run, mesh, device), load_normal_texture(run, mesh, device))
 
 
 def open_relighter(run: Path, reconstruction: Reconstruction, backend: Backend, settings: RelightSettings) -> Relighter:

@@ -11,7 +11,7 @@ import numpy as np
 import torch
 
 from ..scene.mesh import Mesh
-from .albedo_texture import AlbedoTexture
+from .mesh_texture import MeshTexture, NormalTexture
 from .mesh_tracer import mesh_tracer
 from .primary_hits import PrimaryHits
 from .secondary_query import Hits
@@ -53,17 +53,26 @@ class MeshQuery:
         radius: scene radius, the unit of the offsets.
         device: device that rays come from.
         albedo: texture of the mesh that refines the Gaussians' albedo, or None.
+        normal: texture of the mesh that refines its own normals where a camera sees it, or None.
 
     Attributes:
         device: device that rays come from.
         albedo: the texture, or None.
     """
 
-    def __init__(self, mesh: Mesh, radius: float, device: torch.device | str = "cpu", albedo: AlbedoTexture | None = None) -> None:
+    def __init__(
+        self,
+        mesh: Mesh,
+        radius: float,
+        device: torch.device | str = "cpu",
+        albedo: MeshTexture | None = None,
+        normal: NormalTexture | None = None,
+    ) -> None:
         self._faces, self._radius = torch.from_numpy(mesh.faces.astype(np.int64)).to(device), radius
         rows = (mesh.normals, mesh.albedo, mesh.roughness[:, None], mesh.metallic[:, None])
         self._attributes = torch.from_numpy(np.concatenate(rows, 1, dtype=np.float32)).to(device)
         self._tracer, self._mesh, self.device, self.albedo = mesh_tracer(mesh, device), mesh, device, albedo
+        self._normal = normal
         self._kept: tuple[torch.Tensor, _Seen] | None = None  # points of a view, what they see
 
     @cached_property
@@ -156,6 +165,9 @@ class MeshQuery:
         ray = torch.nonzero((triangle >= 0) & (behind < MAX_DEPTH_BEHIND * self._radius))[:, 0]
         seen, barycentric = triangle[ray].long(), _weights(u[ray], v[ray])
         normal = self._normals(seen, barycentric, direction[ray])
+        if self._normal is not None:
+            pixel, facing = surface.depth[ray] / surface.camera.fx, -(normal * direction[ray]).sum(1)
+            normal = _towards(self._normal.sample(seen, barycentric, pixel, facing), direction[ray])
         return _Seen(ray, seen, barycentric, normal, distance[ray], behind[ray])
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:

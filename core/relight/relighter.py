@@ -111,19 +111,23 @@ class Relighter:
         return dataclasses.replace(surface, divided=DividedHits.of(surface, self._refined(rays)))
 
     def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None) -> GBuffer:
-        """Return the G-buffer of a camera; its albedo is the texture's where there is one, not multiplied by `albedo_scale`.
+        """Return the G-buffer of a camera, with the normals it is shaded by and the texture's albedo, not multiplied by `albedo_scale`.
 
         Args:
             camera: the camera.
             surface: the surface that it sees, from `surface`, where that is known.
         """
         buffers = render_gbuffer(self.reconstruction, camera)
-        if self.mesh is None or self.mesh.albedo is None:
+        if self.mesh is None:
             return buffers
         surface = surface or self.surface(camera)
-        albedo = torch.from_numpy(buffers.albedo).flatten(0, 1).clone()
-        albedo[surface.index.cpu()] = (surface.mean_albedo() / self._scale.clamp_min(1e-6)).cpu()
-        return dataclasses.replace(buffers, albedo=albedo.view(buffers.albedo.shape).numpy())
+        index = surface.index.cpu().numpy()
+        layers = {"normal": buffers.normal.copy()}
+        layers["normal"].reshape(-1, 3)[index] = surface.normal.cpu()
+        if self.mesh.albedo is not None:
+            layers["albedo"] = buffers.albedo.copy()
+            layers["albedo"].reshape(-1, 3)[index] = (surface.mean_albedo() / self._scale.clamp_min(1e-6)).cpu()
+        return dataclasses.replace(buffers, **layers)
 
     def _refined(self, surface: PrimaryHits) -> PrimaryHits:
         """Return a surface with refined normals and albedo, and with origins of secondary rays."""

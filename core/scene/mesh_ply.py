@@ -59,7 +59,7 @@ def load_mesh_ply(path: Path) -> Mesh:
     Raises:
         InputError: if the file is missing or broken, or lacks an element or a column.
     """
-    ply = _read(path)
+    ply = read_ply(path)
     for name in ("vertex", "face"):
         if name not in ply:
             raise InputError(path, f"has no {name} element")
@@ -71,7 +71,7 @@ def load_mesh_ply(path: Path) -> Mesh:
     values = {field: np.stack([vertex[name] for name in names], -1).astype(np.float32) for field, names in columns.items()}
     if not all(np.isfinite(value).all() for value in values.values()):
         raise InputError(path, "has vertices that are not finite")
-    faces = _faces(face, path)
+    faces = triangles_of(face, path)
     if len(faces) and (faces.min() < 0 or faces.max() >= len(vertex)):
         raise InputError(path, f"has faces that refer to vertices beyond the {len(vertex)} of the file")
     scalars = {field: values.pop(field)[:, 0] for field in ("roughness", "metallic", "confidence") if field in values}
@@ -79,7 +79,8 @@ def load_mesh_ply(path: Path) -> Mesh:
     return Mesh(**values, **scalars, faces=faces, quads=quads)  # pyright: ignore[reportArgumentType]
 
 
-def _read(path: Path) -> PlyData:
+def read_ply(path: Path) -> PlyData:
+    """Read a PLY of triangles; raise InputError where the file is missing or broken."""
     try:
         return PlyData.read(str(path), mmap="c", known_list_len={"face": {"vertex_indices": 3}})
     except FileNotFoundError as error:
@@ -88,7 +89,8 @@ def _read(path: Path) -> PlyData:
         raise InputError(path, f"not a readable PLY of triangles ({error})") from error
 
 
-def _faces(face: np.ndarray, path: Path) -> np.ndarray:
+def triangles_of(face: np.ndarray, path: Path) -> np.ndarray:
+    """Return the triangles (F, 3) int32 of a PLY's faces; raise InputError where there are other polygons."""
     if "vertex_indices" not in (face.dtype.names or ()):
         raise InputError(path, "its faces lack vertex_indices")
     indices = face["vertex_indices"]

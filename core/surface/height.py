@@ -10,11 +10,10 @@ import numpy as np
 from ..io.quantisation import sixteen_bits
 from ..scene.mesh import Mesh
 from ..scene.surface import Surface
-from ..scene.triangle_tracer import TriangleTracer
 from .mesh_texels import mesh_texels
 from .meshing import unit
+from .nearest_hits import NearestTracer
 
-REACH = 0.05  # of the mesh's diameter: farther along a normal, another part of the object would be found
 FULL = 0.9  # of the fine surface's triangles: a mesh of as many was not reduced
 LEAST = 0.1  # voxels: heights whose 99th percentile is smaller are noise of the fusion, not shape
 MIDLEVEL = 0.5  # value of height 0, as in Blender's Displacement node
@@ -60,32 +59,13 @@ def height_map(mesh: Mesh, fine: Surface, size: int) -> HeightMap | None:
     if len(mesh.faces) >= FULL * len(fine.faces):
         return None
     texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, size)
-    corners = fine.vertices[fine.faces]
-    facing = unit(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]))
-    tracer, reach = TriangleTracer(corners), REACH * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    heights = np.empty(len(texels.index), np.float32)
+    tracer, heights = NearestTracer(fine), np.empty(len(texels.index), np.float32)
     for part in texels.chunks():
-        place = texels.interpolate(mesh.vertices, mesh.faces, part).astype(np.float32)
-        normal = unit(texels.interpolate(mesh.normals, mesh.faces, part)).astype(np.float32)
-        heights[part] = _nearest(tracer, facing, place, normal, reach)
+        normal = unit(texels.interpolate(mesh.normals, mesh.faces, part))
+        heights[part] = tracer.hits(texels.interpolate(mesh.vertices, mesh.faces, part), normal).height
     found = np.isfinite(heights)
     heights[~found] = 0
     if np.percentile(np.abs(heights), 99) < LEAST * fine.voxel:
         return None
     scale = 2 * float(np.abs(heights).max())
     return HeightMap(texels.image(sixteen_bits(MIDLEVEL + heights / scale)), scale, 1 - float(found.mean()))
-
-
-def _nearest(tracer: TriangleTracer, facing: np.ndarray, place: np.ndarray, normal: np.ndarray, reach: float) -> np.ndarray:
-    """Return signed distances (P,) from places (P, 3) along unit normals (P, 3) to the surface; infinite where none is within reach.
-
-    The nearer of the first hits to both sides counts; the back of a surface is the other side of a thin part, and does not.
-    """
-    nearest = np.full(len(place), np.inf, np.float32)
-    for side in (1, -1):
-        hits = tracer.closest(place, side * normal)
-        front = (hits.triangle >= 0) & (hits.distance <= reach)
-        front[front] = (facing[hits.triangle[front]] * normal[front]).sum(-1) > 0
-        nearer = front & (hits.distance < np.abs(nearest))
-        nearest[nearer] = side * hits.distance[nearer]
-    return nearest

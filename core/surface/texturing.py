@@ -15,15 +15,14 @@ from ..scene.mesh import Mesh
 from ..scene.surface import Surface
 from ..settings.schema import SurfaceSettings
 from . import meshing
-from .bake import add_normal_detail, normal_noise, tangent_space, tangents
+from .bake import tangent_space, tangents
 from .material_fusion import FusedMaterials, fuse_materials
 from .mesh_texels import MeshTexels, mesh_texels
 from .meshing import Triangles
+from .normal_source import NormalSource
 from .repair import facing_normals
 from .unwrap import unwrap
 from .unwrap_process import UnwrapProcess
-
-NOISE_POINTS = 20_000  # vertices that the noise of normals is measured at
 
 
 def textured_mesh(
@@ -33,7 +32,7 @@ def textured_mesh(
     settings: SurfaceSettings,
     progress: Progress,
     unwrapping: UnwrapProcess | None = None,
-    noise: float | None = None,
+    normal_source: NormalSource | None = None,
 ) -> Mesh:
     """Unwrap the surface, and give it materials at the vertices and in textures.
 
@@ -44,11 +43,12 @@ def textured_mesh(
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
         unwrapping: unwrapping of this surface that was begun earlier; None to unwrap it now.
-        noise: largest noise of normals, see `surface_noise`; None for no limit.
+        normal_source: source of the normals; None: the surface with detail of the views.
 
     Raises:
         Cancelled: the user stopped the work.
     """
+    normal_source = normal_source or NormalSource(settings.detail)
     progress.phase("unwrap", 1)
     if unwrapping is None:
         source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texels)
@@ -59,11 +59,10 @@ def textured_mesh(
         raise Cancelled("stopped during UV unwrapping")
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
-    own = limited(normal_noise(surface.normals, fused.normal, fused.weight > 0), noise)
-    normals = add_normal_detail(surface.normals, fused.normal, own, settings.detail)
+    normals = normal_source.normals(surface.vertices, surface.normals, fused).astype(np.float64)
     normals = facing_normals(Triangles(surface.vertices, surface.faces), normals)
     mesh = _mesh_of(surface.vertices[source], normals[source], uvs, faces, fused.at(source))
-    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), noise))
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), normal_source))
     return mesh
 
 
@@ -90,7 +89,7 @@ def mesh_with_materials(
     samples: SurfaceSamples,
     settings: SurfaceSettings,
     progress: Progress,
-    noise: float | None = None,
+    normal_source: NormalSource | None = None,
 ) -> Mesh:
     """Give an existing mesh materials at its vertices and in textures; geometry and UVs do not change.
 
@@ -101,7 +100,7 @@ def mesh_with_materials(
         samples: its Gaussians, for parts that no view sees.
         settings: texture size and strength of the normal detail.
         progress: receives steps and may cancel.
-        noise: largest noise of normals, see `surface_noise`; None for no limit.
+        normal_source: source of the texture's normals; None: the mesh with detail of the views.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -109,28 +108,8 @@ def mesh_with_materials(
     progress.phase("bake", 2 * len(views))
     fused = fuse_materials(surface.vertices, surface.normals, views, samples, surface.voxel, stoppable(progress))
     mesh = _mesh_of(surface.vertices, surface.normals, uvs, surface.faces.astype(np.int32), fused)
-    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), noise))
+    mesh.textures.update(baked_textures(mesh, views, samples, surface.voxel, settings, stoppable(progress, len(views)), normal_source))
     return mesh
-
-
-def surface_noise(fine: Surface, views: Sequence[GBuffer], samples: SurfaceSamples) -> float:
-    """Return the noise of normals on the surface before its triangles are reduced, see `normal_noise`.
-
-    On a reduced mesh, the difference of its normals from the views' is shape that its faces have lost, which must not count as noise.
-
-    Args:
-        fine: surface as it is fused.
-        views: G-buffers of the reconstruction at the training cameras.
-        samples: its Gaussians, for parts that no view sees.
-    """
-    pick = np.random.default_rng(0).choice(len(fine.vertices), min(NOISE_POINTS, len(fine.vertices)), replace=False)
-    fused = fuse_materials(fine.vertices[pick], fine.normals[pick], views, samples, fine.voxel, lambda done: None)
-    return normal_noise(fine.normals[pick], fused.normal, fused.weight > 0)
-
-
-def limited(noise: float, limit: float | None) -> float:
-    """Return the noise of a mesh's normals, at most a limit where there is one."""
-    return noise if limit is None else min(noise, limit)
 
 
 def _mesh_of(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray, materials: FusedMaterials) -> Mesh:
@@ -155,7 +134,7 @@ def baked_textures(
     voxel: float,
     settings: SurfaceSettings,
     step: Callable[[int], None] = lambda done: None,
-    noise: float | None = None,
+    normal_source: NormalSource | None = None,
 ) -> dict[str, np.ndarray]:
     """Bake albedo, roughness, metallic, normal and confidence textures.
 
@@ -166,7 +145,7 @@ def baked_textures(
         voxel: resolution of the surface, world units.
         settings: size and bits of the textures, and strength of the normal detail.
         step: called with the number of views done; may raise.
-        noise: largest noise of normals, see `surface_noise`; None for no limit.
+        normal_source: source of the normals; None: the mesh with detail of the views.
 
     Returns:
         Images by name as in `Mesh.textures`: (S, S, 3) albedo (sRGB) and normal (tangent space), (S, S) roughness and metallic, uint8
@@ -176,12 +155,14 @@ def baked_textures(
     normals = texels.interpolated(mesh.normals, mesh.faces)
     for part in texels.chunks():
         normals[part] = meshing.unit(normals[part])
-    fused = fuse_materials(texels.interpolated(mesh.vertices, mesh.faces), normals, views, samples, voxel, step)
+    place = texels.interpolated(mesh.vertices, mesh.faces)
+    fused = fuse_materials(place, normals, views, samples, voxel, step)
+    detailed = (normal_source or NormalSource(settings.detail)).normals(place, normals, fused)
     images = {
         "albedo": texels.image(srgb_quantised(fused.albedo, bits)),
         "roughness": texels.image(quantised(fused.roughness, bits)),
         "metallic": texels.image(quantised(fused.metallic, bits)),
-        "normal": texels.image(_normal_codes(mesh, texels, normals, fused, settings, noise)),
+        "normal": texels.image(_normal_codes(mesh, texels, normals, detailed, bits)),
         "confidence": texels.image(eight_bits(fused.confidence)),
     }
     if fused.material_confidence is not None:
@@ -189,18 +170,14 @@ def baked_textures(
     return images
 
 
-def _normal_codes(
-    mesh: Mesh, texels: MeshTexels, normals: np.ndarray, fused: FusedMaterials, settings: SurfaceSettings, limit: float | None
-) -> np.ndarray:
-    """Return the normals of P texels with detail as codes (P, 3) uint8 or uint16 in tangent space; `normals` (P, 3) are the mesh's."""
+def _normal_codes(mesh: Mesh, texels: MeshTexels, normals: np.ndarray, detailed: np.ndarray, bits: int) -> np.ndarray:
+    """Return normals of P texels, `detailed` (P, 3), as codes (P, 3) in the tangent space of the mesh's normals, `normals` (P, 3)."""
     frames = tangents(mesh.vertices, mesh.normals, mesh.uvs, mesh.faces)
-    seen, codes = fused.weight > 0, np.empty(normals.shape, np.dtype(f"u{settings.texture_bits // 8}"))
-    noise = limited(normal_noise(normals, fused.normal, seen), limit)
+    codes = np.empty(normals.shape, np.dtype(f"u{bits // 8}"))
     for part in texels.chunks():
         normal = normals[part].astype(np.float64)
-        detailed = np.where(seen[part, None], add_normal_detail(normal, fused.normal[part], noise, settings.detail), normal)
         side = frames[mesh.faces[texels.face[part], 0], 3]
         tangent = texels.interpolate(frames[:, :3], mesh.faces, part)
         tangent = meshing.unit(tangent - (tangent * normal).sum(-1, keepdims=True) * normal)
-        codes[part] = quantised(0.5 + 0.5 * tangent_space(detailed, normal, tangent, side), settings.texture_bits)
+        codes[part] = quantised(0.5 + 0.5 * tangent_space(detailed[part], normal, tangent, side), bits)
     return codes

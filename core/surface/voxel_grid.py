@@ -11,6 +11,7 @@ import numpy as np
 from scipy import ndimage
 
 from ..errors import IrgsppError
+from ..scene.camera import Camera
 from ..scene.dataset import Bound
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..settings.schema import SurfaceSettings
@@ -96,7 +97,7 @@ def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, s
     seen, footprints = [], []
     for view in views:
         seen.append(depth_points(view, bound))
-        footprints.append(_footprint(view, seen[-1]))
+        footprints.append(footprint(view.camera, seen[-1]))
     if not sum(map(len, seen)):
         raise IrgsppError("no surface: no view has a depth inside the object's bound where its alpha is above 0.5")
     low, high = _robust_box(solid if len(solid) else np.concatenate(seen))
@@ -113,12 +114,12 @@ def make_grid(views: Sequence[GBuffer], samples: SurfaceSamples, bound: Bound, s
     return Grid(origin, voxel, (int(blocks[0]), int(blocks[1]), int(blocks[2])), active)
 
 
-def _footprint(view: GBuffer, points: np.ndarray) -> float:
-    """Return the side of a view's pixel at the mean depth of points (P, 3), world units; not a number without points."""
+def footprint(camera: Camera, points: np.ndarray) -> float:
+    """Return the side of a camera's pixel at the mean depth of points (P, 3), world units; not a number without points."""
     if not len(points):
         return math.nan
-    depth = (points.mean(0) - view.camera.centre) @ view.camera.world_to_cv[2, :3]
-    return float(depth) / math.sqrt(view.camera.fx * view.camera.fy)
+    depth = (points.mean(0) - camera.centre) @ camera.world_to_cv[2, :3]
+    return float(depth) / math.sqrt(camera.fx * camera.fy)
 
 
 def _inside(points: np.ndarray, bound: Bound) -> np.ndarray:

@@ -31,6 +31,8 @@ from irgspp.core.scene.environment_files import read_environment
 from irgspp.core.scene.gaussians import Gaussians, load_gaussians, save_gaussians
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
+from irgspp.core.scene.surface import Surface
+from irgspp.core.scene.surface_ply import load_surface_ply, save_surface_ply
 from irgspp.core.settings.schema import DataSettings
 from PIL import Image
 
@@ -141,6 +143,7 @@ def write_plys(folder: Path) -> None:
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     mesh = Mesh(corners, corners, corners[:, :2], faces, corners, corners[:, 0], corners[:, 1])
     save_mesh_ply(mesh, folder / "mesh.ply")
+    save_surface_ply(Surface(mesh.vertices, mesh.normals, mesh.faces, 0.1), folder / "surface.ply")
     head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
     vertices = "".join(f"{x} {y} {z}\n" for x, y, z in corners.tolist())
     (folder / "points.ply").write_text(head + "end_header\n" + vertices)
@@ -155,7 +158,7 @@ def read_ply(folder: Path, file: Path) -> object:
         folder: folder of the file, unused.
         file: file to read.
     """
-    return _all([lambda f=f: f(file) for f in (read_points, load_gaussians, load_mesh_ply, load_edited_mesh)])
+    return _all([lambda f=f: f(file) for f in (read_points, load_gaussians, load_mesh_ply, load_surface_ply, load_edited_mesh)])
 
 
 def _all(reads: list[Callable[[], object]]) -> list[object]:
@@ -249,7 +252,7 @@ READERS = (
         True,
     ),
     Reader("transforms.json", ("transforms.json",), write_transforms, read_dataset, True),
-    Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "edited.ply"), write_plys, read_ply),
+    Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "surface.ply", "edited.ply"), write_plys, read_ply),
     Reader("EXR", EXRS, write_exrs, lambda _, file: (exr_size(file), read_exr_rgb(file))),
     Reader("HDR", ("light.hdr", "small.hdr"), write_hdrs, lambda _, file: read_environment(file)),
     Reader("PNG and JPEG", IMAGES, write_images, read_any_image),

@@ -12,6 +12,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 import torch
 
@@ -43,6 +44,20 @@ CLOSED_FRACTION = 0.5  # of the time that is left, for the closed solver where t
 MAX_SOLVED_TRIANGLES = 40_000  # of the surface whose points light and materials are solved for
 
 
+class SecondStageResult(NamedTuple):
+    """Result of the second stage.
+
+    Attributes:
+        reconstruction: with materials and light.
+        schedule_scale: schedules as a multiple of the settings'.
+        surface: surface with the normals that explain the photographs' shading, finer than the one given; None where none were found.
+    """
+
+    reconstruction: Reconstruction
+    schedule_scale: float
+    surface: Surface | None = None
+
+
 def solve_second_stage(
     reconstruction: Reconstruction,
     surface: Surface,
@@ -51,7 +66,7 @@ def solve_second_stage(
     progress: Progress,
     deadline: float | None = None,
     checkpoint: Checkpoint | None = None,
-) -> tuple[Reconstruction, float]:
+) -> SecondStageResult:
     """Solve for materials and environment light by the solver of the settings.
 
     Args:
@@ -64,9 +79,6 @@ def solve_second_stage(
             the settings.
         checkpoint: storage of the joint optimisation's state; None for none.
 
-    Returns:
-        The reconstruction, and the schedule scale as a multiple of the settings' schedules.
-
     Raises:
         Cancelled: the user stopped the work.
         InputError: the photographs do not fit the solver.
@@ -74,13 +86,14 @@ def solve_second_stage(
     """
     solver = settings.second.solver
     if solver == "joint":
-        return optimise_jointly(reconstruction, dataset, settings, progress, deadline, checkpoint)
+        return SecondStageResult(*optimise_jointly(reconstruction, dataset, settings, progress, deadline, checkpoint))
     if solver == "closed":
         return solve_in_closed_form(reconstruction, surface, dataset, settings, progress, deadline)
     now = time.monotonic()
     middle = None if deadline is None else now + CLOSED_FRACTION * (deadline - now)
-    solved, _ = solve_in_closed_form(reconstruction, surface, dataset, settings, progress, middle)
-    return refine_jointly(solved, dataset, settings, progress, deadline, checkpoint)
+    closed = solve_in_closed_form(reconstruction, surface, dataset, settings, progress, middle)
+    refined, schedule_scale = refine_jointly(closed.reconstruction, dataset, settings, progress, deadline, checkpoint)
+    return SecondStageResult(refined, schedule_scale, closed.surface if refined is closed.reconstruction else None)
 
 
 def solve_in_closed_form(
@@ -90,7 +103,7 @@ def solve_in_closed_form(
     settings: Settings,
     progress: Progress,
     deadline: float | None = None,
-) -> tuple[Reconstruction, float]:
+) -> SecondStageResult:
     """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
 
     Positions, scales and opacities do not change; surfels are added where no view sees the surface. See `solve_second_stage`.
@@ -102,24 +115,23 @@ def solve_in_closed_form(
         settings: settings of the job.
         progress: receives the progress and may cancel.
         deadline: see `solve_second_stage`.
-
-    Returns:
-        The reconstruction, and the schedule scale as a multiple of the settings' schedules.
     """
     reconstruction = _with_unseen_surface(reconstruction, surface, dataset, settings.seed, progress)
     reconstruction = _with_aligned_normals(reconstruction, surface, settings)
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), dataset, settings, progress)
-    if not _is_metal(reconstruction, solver):
+    metal = _is_metal(reconstruction, solver)
+    if not metal:
         on_step = partial(report_step, progress)
         reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, progress, on_step)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     starts = [_with_solved_materials(reconstruction, surface, solver, tracer, dataset, settings, progress)]
     if reconstruction.has_split_sum and solver.is_mostly_metal:
         starts = metal_starts(reconstruction, starts[0], solver)
-    result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline)
+    result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline, None if metal else surface)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
-    return _with_refitted_radiance(result, dataset, iterations, settings, progress), schedule_scale
+    result = _with_refitted_radiance(result, dataset, iterations, settings, progress)
+    return SecondStageResult(result, schedule_scale, None if metal else surface)
 
 
 def _with_unseen_surface(

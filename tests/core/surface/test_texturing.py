@@ -8,12 +8,14 @@ import pytest
 from irgspp.core.errors import Cancelled
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface.bake import tangents
 from irgspp.core.surface.extraction import extract_geometry, extract_levels
 from irgspp.core.surface.mesh_texels import mesh_texels
 from irgspp.core.surface.meshing import unit
-from irgspp.core.surface.texturing import surface_noise, textured_mesh
+from irgspp.core.surface.normal_source import NormalSource, surface_noise
+from irgspp.core.surface.texturing import textured_mesh
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)
 
@@ -137,10 +139,23 @@ def test_shape_that_a_reduced_mesh_has_lost_is_no_noise(solids, camera_ring, bou
     coarse, fine = extract_levels(views, samples, bound, settings, Silent(), None, (250, None))
     noise, errors = surface_noise(fine, views, samples), []
     for limit in (None, noise):
-        points, normals = shaded_normals(textured_mesh(coarse, views, samples, settings, Silent(), noise=limit), 128)
+        points, normals = shaded_normals(
+            textured_mesh(coarse, views, samples, settings, Silent(), normal_source=NormalSource(1.0, noise=limit)), 128
+        )
         cosine = (normals * solid.gradient(solid.project(points))).sum(-1)
         errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
     assert errors[1] < 0.7 * errors[0]
+
+
+def test_a_fine_surface_gives_a_reduced_mesh_its_normals(solids, camera_ring, bound):
+    solid, settings = solids["torus"], replace(SETTINGS, texture=128)
+    views, samples = [solid.view(camera) for camera in camera_ring(20)], solid.samples()
+    coarse, fine = extract_levels(views, samples, bound, settings, Silent(), None, (250, None))
+    exact = Surface(fine.vertices, solid.gradient(fine.vertices), fine.faces, fine.voxel)
+    mesh = textured_mesh(coarse, views, samples, settings, Silent(), normal_source=NormalSource(1.0, exact, resolved=True))
+    points, normals = shaded_normals(mesh, 128)
+    cosine = (normals * solid.gradient(solid.project(points))).sum(-1)
+    assert np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean() < 1.5
 
 
 def test_progress_reports_both_phases_and_every_step(few, recorder):

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import torch
@@ -15,7 +15,9 @@ from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import View, light_rotations
 from ....scene.gaussians import Gaussians
+from ....scene.surface import Surface
 from ....scene.unique_rows import used_numbers
+from ....surface.normal_images import normal_images
 from ...common.mask_band import narrowest_mask
 from ...common.training_view import MIN_SATURATED
 
@@ -38,6 +40,7 @@ class PixelPool:
         place: (B,) flat index of the pixel in its view.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
         subpixels: rays along each side of a pixel.
+        surface_normal: (B, 3) unit, of the fine surface, 0 where a pixel does not show it; None where there is no such surface.
     """
 
     lists: Lists
@@ -50,6 +53,7 @@ class PixelPool:
     place: torch.Tensor
     rotations: torch.Tensor | None = None
     subpixels: int = 1
+    surface_normal: torch.Tensor | None = None
 
     @property
     def count(self) -> int:
@@ -69,10 +73,25 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
     """
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random, subpixels) for number, view in enumerate(views)]
     lists = join_lists([part.lists for part in parts])
-    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-2]]
+    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-3]]
     rotations = light_rotations(views)
     turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
     return PixelPool(lists, *rest, rotations=turned, subpixels=subpixels)
+
+
+def with_surface_normals(pool: PixelPool, surface: Surface, cameras: Sequence[Camera]) -> PixelPool:
+    """Return a pool that knows the normals of a surface at its pixels.
+
+    Args:
+        pool: pixels.
+        surface: surface with vertex normals.
+        cameras: cameras of the pool's views.
+    """
+    normal = torch.zeros_like(pool.point)
+    for number, image in enumerate(normal_images(surface, cameras)):
+        row = torch.nonzero(pool.number == number)[:, 0]
+        normal[row] = torch.from_numpy(image).view(-1, 3).to(normal.device)[pool.place[row]]
+    return replace(pool, surface_normal=normal)
 
 
 def facing_side(gaussians: Gaussians, pool: PixelPool) -> torch.Tensor:

@@ -24,6 +24,7 @@ from ....settings.schema import SecondStageSettings
 from ....shading.environment_lookup import from_light_frame, lookup, solid_angles, to_light_frame
 from ....shading.rendering_equation import reflect_light
 from ....shading.sampling import LightDistribution, Samples, draw
+from ....surface.normal_images import SURFACE_WEIGHT
 from ...common.finite_check import check_due, require_finite
 from ...common.light_map import light_variation
 from ...common.nearest_neighbours import nearest_neighbours
@@ -223,7 +224,12 @@ class Refinement:
         """Return normal (B, 3), albedo (B, 3), roughness and metallic (B,) of pixels."""
         at = self.gbuffer.sums(self.optimizer.gaussians, pixels)
         albedo, roughness, metallic = (at[:, 3:] / self.pool.opacity[pixels, None]).split([3, 1, 1], 1)
-        return torch.nn.functional.normalize(at[:, :3], dim=1), albedo, roughness[:, 0], metallic[:, 0]
+        normal = torch.nn.functional.normalize(at[:, :3], dim=1)
+        if self.pool.surface_normal is not None:
+            other = self.pool.surface_normal[pixels]
+            mixed = torch.nn.functional.normalize((1 - SURFACE_WEIGHT) * normal + SURFACE_WEIGHT * other, dim=1)
+            normal = torch.where(other.any(1, keepdim=True), mixed, normal)
+        return normal, albedo, roughness[:, 0], metallic[:, 0]
 
     def _incoming(
         self, origin: torch.Tensor, normal: torch.Tensor, samples: Samples, light: torch.Tensor, rotation: torch.Tensor | None

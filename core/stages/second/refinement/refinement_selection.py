@@ -14,6 +14,7 @@ from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import Dataset
 from ....scene.reconstruction import Reconstruction
+from ....scene.surface import Surface
 from ....settings.schema import Settings
 from ...common.preview import albedo_image
 from ...common.skip_rules import decide_skip_rule
@@ -21,7 +22,7 @@ from ...common.time_budget import MAX_SECOND_STAGE_SCALE, scale_schedule, second
 from ..metal import is_mostly_metal
 from ..step_report import report_step
 from .material_confidence import with_confidence
-from .pixel_pool import PixelPool, pool_pixels
+from .pixel_pool import PixelPool, pool_pixels, with_surface_normals
 from .refinement import Refinement
 from .roughness_pooling import with_pooled_roughness
 
@@ -37,6 +38,7 @@ def refine(
     settings: Settings,
     progress: Progress,
     deadline: float | None,
+    surface: Surface | None = None,
 ) -> tuple[Reconstruction, float]:
     """Refine each start for a short time, and the best of them to the end.
 
@@ -47,6 +49,7 @@ def refine(
         settings: settings of the job.
         progress: receives steps and previews, and may cancel.
         deadline: seconds on the monotonic clock, None for none.
+        surface: surface whose normals pixels are shaded by, beside those of the surfels; None for none.
 
     Returns:
         The refined reconstruction, or its start where refinement does not improve the held-back views, with the confidence of its
@@ -64,7 +67,9 @@ def refine(
     if not pool.count:
         progress.message("not refined: no pixel shows the object alone")
         return starts[0], 1.0
-    refinements = prepare_refinements(starts, pool, tracer, [view.camera for view in dataset.train], settings, progress)
+    cameras = [view.camera for view in dataset.train]
+    pool = pool if surface is None else with_surface_normals(pool, surface, cameras)
+    refinements = prepare_refinements(starts, pool, tracer, cameras, settings, progress)
     before = [refinement.test() for refinement in refinements]
     schedule_scale = 1.0 if deadline is None else _scale_to_deadline(refinements, dataset, settings, deadline, progress)
     best = _best_after_trial(refinements, progress)

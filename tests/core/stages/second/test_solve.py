@@ -45,7 +45,7 @@ def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, mon
         def solve(start, *rest):
             called.append(name)
             deadlines.append(next(one for one in rest if isinstance(one, float)))
-            return result, 0.5
+            return transport.SecondStageResult(result, 0.5, surface) if name == "closed" else (result, 0.5)
 
         return solve
 
@@ -56,8 +56,9 @@ def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, mon
     dataset = sphere_dataset(camera_ring(2, size=16))
     settings = with_overrides(SETTINGS, [f"second.solver={solver}"])
     deadline = time.monotonic() + 100
-    result, scale = transport.solve_second_stage(first, surface, dataset, settings, Silent(), deadline)
-    assert called == expected and result is results[expected[-1]] and scale == 0.5
+    result = transport.solve_second_stage(first, surface, dataset, settings, Silent(), deadline)
+    assert called == expected and result.reconstruction is results[expected[-1]] and result.schedule_scale == 0.5
+    assert result.surface is (surface if solver == "closed" else None)  # the surface of moved surfels is another one
     assert deadlines[-1] == deadline
     if len(expected) == 2:
         assert deadlines[0] == pytest.approx(deadline - 50, abs=1)  # half of what is left

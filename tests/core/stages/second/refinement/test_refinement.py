@@ -6,17 +6,20 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+import trimesh
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
+from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.shading.environment_lookup import rotate
 from irgspp.core.stages.second.metal import METALLIC_THRESHOLD
 from irgspp.core.stages.second.radiance_refit import refit_radiance
 from irgspp.core.stages.second.refinement import refinement as module
-from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels
+from irgspp.core.stages.second.refinement.pixel_pool import pool_pixels, with_surface_normals
 from irgspp.core.stages.second.refinement.refinement import METAL_PIXEL_SHARE, Refinement, split_samples
+from irgspp.core.surface.normal_images import SURFACE_WEIGHT
 
 SETTINGS = SecondStageSettings(iterations=40, pixels=64, samples=16, pool=4000, normal_rate=1e-4)
 
@@ -168,3 +171,27 @@ def test_drawn_views_and_known_surfels_agree(start, photographs, subpixels):
     assert drawn.test() == pytest.approx(known.test(), abs=0.2)
     chosen = drawn.gbuffer.choose_pixels(drawn.trained, 20, torch.Generator().manual_seed(0))
     assert len(pool.number[chosen].unique()) == 1
+
+
+def test_pixels_take_most_of_their_normal_from_the_surface(start, photographs):
+    plain = refinement(start(), photographs)
+    pixels = torch.arange(0, plain.pool.count, 20)
+    with torch.no_grad():
+        own = plain._materials(pixels)[0]
+        turned = torch.nn.functional.normalize(torch.roll(own, 1, 1) + own, dim=1)
+        known = torch.zeros(plain.pool.count, 3)
+        known[pixels[::2]] = turned[::2]  # the others do not show the surface
+        plain.pool = replace(plain.pool, surface_normal=known)
+        mixed = plain._materials(pixels)[0]
+    expected = torch.nn.functional.normalize((1 - SURFACE_WEIGHT) * own + SURFACE_WEIGHT * turned, dim=1)
+    assert torch.allclose(mixed[::2], expected[::2], atol=1e-6) and torch.equal(mixed[1::2], own[1::2])
+
+
+def test_a_pool_knows_the_normals_that_its_pixels_show(start, photographs):
+    body = trimesh.creation.icosphere(5)
+    surface = Surface(np.array(body.vertices), np.array(body.vertices), np.array(body.faces), 0.02)
+    pool = pool_pixels(photographs, SecondaryTracer(start()), SETTINGS.pool, np.random.default_rng(0))
+    known = with_surface_normals(pool, surface, [view.camera for view in photographs]).surface_normal
+    assert known is not None
+    radial = torch.nn.functional.normalize(pool.point, dim=1)
+    assert float((known * radial).sum(1).median()) > 0.999 and float(known.norm(dim=1).median()) == pytest.approx(1, abs=1e-4)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Albedo texture in views: lookups against known textures, and where it takes the place of the Gaussians' albedo."""
+"""Textures of a mesh in views: lookups against known textures, and where they take the place of what the Gaussians show."""
 
 import dataclasses
 import json
@@ -9,8 +9,8 @@ import pytest
 import torch
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import decode_srgb
-from irgspp.core.relight.albedo_texture import AlbedoTexture, load_albedo_texture
 from irgspp.core.relight.mesh_query import MeshQuery
+from irgspp.core.relight.mesh_texture import MeshTexture, NormalTexture, load_albedo_texture, load_normal_texture
 from irgspp.core.relight.relighter import Relighter
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.textures import save_textures
@@ -35,7 +35,7 @@ def lookup(texture: np.ndarray, pixel: float, facing: float = 1.0, count: int = 
     triangle = torch.arange(count) % 2
     place = (square().vertices[square().faces[triangle]] * weights[..., None]).sum(1)
     sizes = (torch.full((count,), value) for value in (pixel, facing))
-    return place[:, :2], AlbedoTexture(texture, square()).sample(triangle, torch.from_numpy(weights), *sizes).numpy()
+    return place[:, :2], MeshTexture(texture, square()).sample(triangle, torch.from_numpy(weights), *sizes).numpy()
 
 
 def test_a_fine_pixel_shows_the_texture():
@@ -84,7 +84,7 @@ def with_texture(relighter: Relighter, size: float) -> Relighter:
     """Return a relighter whose mesh is red, and larger or smaller by a factor than the Gaussians' surface."""
     assert relighter.mesh is not None
     mesh = dataclasses.replace(relighter.mesh._mesh, vertices=np.float32(size) * relighter.mesh._mesh.vertices)
-    query = MeshQuery(mesh, 2.0, albedo=AlbedoTexture(np.full((SIZE, SIZE, 3), RED, np.uint8), mesh))
+    query = MeshQuery(mesh, 2.0, albedo=MeshTexture(np.full((SIZE, SIZE, 3), RED, np.uint8), mesh))
     return Relighter(relighter.reconstruction, query, relighter.settings, query)
 
 
@@ -102,3 +102,44 @@ def test_a_damaged_texture_is_named(tmp_path):
     (tmp_path / "textures" / "albedo.png").write_bytes(b"no image")
     with pytest.raises(InputError, match=r"albedo\.png: not a readable image"):
         load_albedo_texture(tmp_path, square())
+
+
+def codes(normal: tuple[float, float, float]) -> np.ndarray:
+    """Return a normal texture of one normal in tangent space."""
+    return np.round(255 * (0.5 + 0.5 * np.broadcast_to(np.float32(normal), (SIZE, SIZE, 3)))).astype(np.uint8)
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_normals_follow_the_directions_of_u_and_v(mirrored):
+    mesh = square()
+    if mirrored:
+        mesh = dataclasses.replace(mesh, uvs=mesh.uvs * np.float32([-1, 1]) + np.float32([1, 0]))
+    texture = NormalTexture(codes((0.6, 0.0, 0.8)), mesh)
+    triangle, weights = torch.tensor([0, 1]), torch.full((2, 3), 1 / 3)
+    found = texture.sample(triangle, weights, torch.full((2,), 0.01), torch.ones(2))
+    expected = np.tile([-0.6 if mirrored else 0.6, 0.0, 0.8], (2, 1))
+    np.testing.assert_allclose(found, expected, atol=0.01)  # 8 bits
+
+
+@pytest.mark.parametrize("weight", [0.0, 0.5, 1.0])
+def test_pixels_are_shaded_by_the_normals_of_the_texture(relighter, camera, weight):
+    plain = relighter("mesh", mesh_normals=weight)
+    assert plain.mesh is not None
+    mesh = plain.mesh._mesh
+    across = np.stack([mesh.vertices[:, 0], mesh.vertices[:, 1]], 1) / 8 + 0.5  # seen from above, u grows along X
+    mesh = dataclasses.replace(mesh, uvs=across.astype(np.float32))
+    query = MeshQuery(mesh, 2.0, normal=NormalTexture(codes((0.6, 0.0, 0.8)), mesh))
+    textured = Relighter(plain.reconstruction, query, plain.settings, query)
+    surface, before = textured.surface(camera), plain.surface(camera)
+    inside = (surface.alpha > 0.99) & (before.normal[:, 2] > 0.5)
+    turned = torch.rad2deg(torch.arccos((surface.normal * before.normal).sum(1).clamp(-1, 1)))[inside]
+    expected = np.degrees(np.arctan2(weight * 0.6, 1 - weight * 0.2))
+    assert float(turned.median()) == pytest.approx(expected, abs=1.5)
+    layer = textured.gbuffer(camera).normal.reshape(-1, 3)[surface.index]
+    np.testing.assert_allclose(layer, surface.normal, atol=1e-6)
+
+
+def test_a_run_without_textures_has_no_normal_texture(tmp_path):
+    assert load_normal_texture(tmp_path, square()) is None
+    save_textures({"normal": codes((0, 0, 1))}, tmp_path / "textures")
+    assert load_normal_texture(tmp_path, square()) is not None
