@@ -20,7 +20,7 @@ from .detail.albedo_detail import detailed_by_dataset
 from .errors import InputError
 from .evaluation.contact_sheet import contact_sheet
 from .evaluation.view_metrics import radiance_psnr
-from .io.run_files import CAPTURE, SURFACE, check_claim
+from .io.run_files import CAPTURE, check_claim
 from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
 from .machine.cpu_memory import check_texture_memory
@@ -39,7 +39,6 @@ from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
 from .scene.reconstruction import Reconstruction
 from .scene.surface import Surface
-from .scene.surface_ply import save_surface_ply
 from .settings import overrides
 from .settings.schema import Settings, paced
 from .settings.sizes import with_sizes, with_texture_size
@@ -54,7 +53,6 @@ from .stages.second.joint.solve import check_joint, has_moved
 from .stages.second.solve import solve_second_stage
 from .stages.second.solver.transfer_tracing import rays_at_a_time
 from .surface.extraction import extract_geometry
-from .surface.meshing import Triangles
 from .surface.normal_source import run_normal_source
 from .surface.texturing import textured_mesh
 from .surface.unwrap_process import UnwrapProcess
@@ -261,22 +259,21 @@ class Job:
         deadline = None if self.deadline is None else self.deadline - AFTER_FUSION_RATIO * self.folder.seconds("geometry")
         first, surface = self.results.first_stage, self.results.surface
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
-            mesh, texture = Triangles(surface.vertices, surface.faces), self.settings.surface.texels
-            self.unwrapping = UnwrapProcess(mesh, texture, self.folder.path / UNWRAP)
+            self.unwrapping = UnwrapProcess(surface, self.settings.surface.texels, self.folder.path / UNWRAP)
         solved = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * solved.schedule_scale, 3)
-        save_surface_ply(solved.surface, self.folder.path / SURFACE)
-        solved.reconstruction.save(self.folder.path)
+        solved.save(self.folder.path)
 
     def surface(self) -> None:
         """Unwrap the surface, bake the Gaussians' materials onto it, and add the photographs' detail to its albedo."""
-        solved, cameras = self.results.reconstruction, {view.name: view.camera for view in self.data.train}
-        samples, views = solved.surface_samples(), GBufferCache(solved, list(cameras.values()))
+        solved, cameras = self.results.reconstruction, [view.camera for view in self.data.train]
+        samples, views = solved.surface_samples(), GBufferCache(solved, cameras)
         moved = self.settings.second.solver != "closed" and has_moved(solved, self.results.first_stage)
         surface = self._surface_of(solved) if moved else self.results.surface
-        normals = run_normal_source(self.folder.path, self.settings.surface.detail, list(cameras.values()))
+        normals = run_normal_source(self.folder.path, self.settings.surface.detail, cameras)
         mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping, normals)
-        mesh, report = detailed_by_dataset(mesh, solved, self.data.path, cameras, self.settings, self.progress)
+        named = {view.name: view.camera for view in self.data.train}
+        mesh, report = detailed_by_dataset(mesh, solved, self.data.path, named, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()
         why = self.folder.state["textures"]["why"]
         mesh, self.folder.state["textures"] = fitted_textures(mesh, report, self.plain_texels, why)

@@ -16,6 +16,7 @@ from ..errors import Cancelled, IrgsppError
 from ..io.npz import read_arrays
 from ..machine.blender_process import LAUNCHER
 from ..machine.parent_watch import PARENT_WATCH
+from ..scene.surface import Surface
 from .meshing import Triangles
 from .unwrap import unwrap
 
@@ -32,7 +33,7 @@ class UnwrapProcess:
         folder: folder of the files of this process and the child, created here and removed by `close`.
     """
 
-    def __init__(self, mesh: Triangles, texture: int, folder: Path) -> None:
+    def __init__(self, mesh: Triangles | Surface, texture: int, folder: Path) -> None:
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)  # a killed job may have left it
         np.savez(folder / MESH, vertices=mesh.vertices, faces=mesh.faces)

@@ -17,6 +17,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import Settings
 from irgspp.core.settings.sizes import with_sizes, with_texture_size
+from irgspp.core.stages.second.solve import SecondStageResult
 
 ALL = ["train", "geometry", "second stage", "surface", "scene", "contact sheet"]
 
@@ -113,9 +114,9 @@ class Stages:
         assert checkpoint.load("joint") is None
         self.check(surface)
         self.record("second stage")
-        return Result("second"), 1.0
+        return SecondStageResult(Result("second"), 1.0)
 
-    def texture(self, surface, views, samples, settings, progress, unwrapping):
+    def texture(self, surface, views, samples, settings, progress, unwrapping, normal_source):
         assert samples == "second"
         assert len(views) == 3
         self.check(surface)

@@ -12,16 +12,19 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import NamedTuple
 
 import torch
 
+from ...io.run_files import SURFACE
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.gbuffer_cache import GBufferCache
 from ...rendering.secondary_rays import SecondaryTracer
 from ...scene.dataset import Dataset
 from ...scene.reconstruction import Reconstruction
 from ...scene.surface import Surface
+from ...scene.surface_ply import save_surface_ply
 from ...settings.schema import Settings
 from ...surface.extraction import coarser
 from ..common.finite_check import require_finite
@@ -56,6 +59,11 @@ class SecondStageResult(NamedTuple):
     reconstruction: Reconstruction
     schedule_scale: float
     surface: Surface | None = None
+
+    def save(self, run: Path) -> None:
+        """Write the reconstruction and the surface into a run folder."""
+        save_surface_ply(self.surface, run / SURFACE)
+        self.reconstruction.save(run)
 
 
 def solve_second_stage(

@@ -47,7 +47,7 @@ def solved(first, dataset, settings):
     """Reconstruction after the second stage."""
     views, masks = GBufferCache(first, [view.camera for view in dataset.train]), [view.alpha for view in dataset.train]
     surface = extract_geometry(views, first.surface_samples(), first.bound, settings.surface, Silent(), masks)
-    return solve_second_stage(first, surface, dataset, settings, Silent())[0]
+    return solve_second_stage(first, surface, dataset, settings, Silent()).reconstruction
 
 
 def errors(reconstruction, dataset):
