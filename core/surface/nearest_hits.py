@@ -52,7 +52,8 @@ class NearestTracer:
         """
         place, normal = np.asarray(place, np.float32), np.asarray(normal, np.float32)
         count, lift = len(place), np.float32(LIFT * self._fine.voxel)
-        best = NearestHits(np.full(count, -1, np.int32), *np.zeros((2, count), np.float32), np.full(count, np.inf, np.float32))
+        u, v = np.zeros((2, count), np.float32)
+        best = NearestHits(np.full(count, -1, np.int32), u, v, np.full(count, np.inf, np.float32))
         for side in (np.float32(1), np.float32(-1)):
             found = self._tracer.closest(place - lift * side * normal, side * normal)
             height = found.distance - lift
