@@ -37,7 +37,7 @@ def add_renderer_options(one: argparse.ArgumentParser) -> None:
     one.add_argument("--no-divide", action="store_true", help="shade every pixel as one point, also at edges (as in the paper)")
     proportions = "proportions of cosine, visible-normal and light samples (default: 1:1:2; 1:4:3 for metal)"
     one.add_argument("--allocation", type=_proportions, metavar="C:G:E", help=proportions)
-    share = "share of the mesh's normals in the shading normals, 0 (those of the Gaussians) to 1 (default: 0.75)"
+    share = "share of the mesh's normals in the shading normals, 0 (those of the Gaussians) to 1 (default: 0.75; 0.5 for metal)"
     one.add_argument("--mesh-normals", type=_fraction, metavar="W", help=share)
     diffuse = "conserving (default) reduces diffuse by a dielectric's reflection, as Blender's Principled does; lambert does not"
     one.add_argument("--diffuse", choices=("lambert", "conserving"), help=diffuse)
@@ -53,7 +53,7 @@ def relight_settings(args: argparse.Namespace) -> RelightSettings:
         sampling=args.sampling,
         denoise="off" if args.no_denoise else args.denoiser,
         allocation=args.allocation,
-        mesh_normals=RelightSettings.mesh_normals if args.mesh_normals is None else args.mesh_normals,
+        mesh_normals=args.mesh_normals,
         indirect=not args.no_indirect,
         shadows=not args.no_shadows,
         transfer=not args.no_transfer,

@@ -33,7 +33,7 @@ def describe_renderer(relight: RelightSettings, backend: Backend, brdf: Brdf) ->
     parts += [] if relight.shadows else ["without shadows"]
     parts += [] if relight.ratio else ["without the known irradiance"]
     parts += [] if relight.divide else ["one point per pixel"]
-    parts += [] if relight.mesh_normals == RelightSettings().mesh_normals else [f"mesh normals {relight.mesh_normals:g}"]
+    parts += [] if relight.mesh_normals is None else [f"mesh normals {relight.mesh_normals:g}"]
     parts += ["IRGS' BRDF"] if brdf == "irgs" else ["Lambertian diffuse lobe"] if relight.conserving is False else []
     return ", ".join(parts)
 

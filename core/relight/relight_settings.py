@@ -7,7 +7,6 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from ..settings.schema import Brdf, SkipSettings
-from ..surface.normal_images import SURFACE_WEIGHT
 from .sample_counts import Proportions
 
 
@@ -24,7 +23,8 @@ class RelightSettings:
             unoccluded light (the paper).
         conserving: reduce the diffuse lobe by what the specular lobe reflects (Blender's Principled BSDF); False: do not (the paper);
             None: as is usual for the BRDF, which is not for IRGS'.
-        mesh_normals: weight of the mesh's normals (those of its texture) in the shading normals, 0..1, where there is a mesh.
+        mesh_normals: weight of the mesh's normals (those of its texture) in the shading normals, 0..1, where there is a mesh;
+            None: as is best for the object's material.
         albedo_scale: factor of the albedo per channel: under an unknown light its brightness cannot be determined.
         skip: `reuse_visibility` ("off": every ray is traced) and `cache_rays` ("off": nothing is kept from light to light), see
             `SkipSettings`.
@@ -44,7 +44,7 @@ class RelightSettings:
     indirect: bool = True
     transfer: bool = True
     conserving: bool | None = None
-    mesh_normals: float = SURFACE_WEIGHT
+    mesh_normals: float | None = None
     albedo_scale: tuple[float, float, float] = (1.0, 1.0, 1.0)
     skip: SkipSettings = field(default_factory=SkipSettings)
     error: float | None = None

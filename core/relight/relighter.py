@@ -24,6 +24,7 @@ from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Brdf
 from ..shading.light_distribution import LightDistribution
 from ..shading.sampling import Samples, draw
+from ..surface.normal_images import METAL_SURFACE_WEIGHT, SURFACE_WEIGHT
 from .denoise import Guides, denoised
 from .direct_light import add_light_samples
 from .estimate import Estimate, Reflectance, estimate_reflected_light, joined_estimate
@@ -78,9 +79,10 @@ class Relighter:
             what = "conserving is of the principled BRDF, and IRGS' has a full diffuse lobe"
             raise InputError("--diffuse", what, "leave it out, or add --brdf principled")
         self.conserving = self.brdf == "principled" and settings.conserving is not False
-        self._mostly_metallic = is_mostly_metallic(reconstruction)
+        self._mostly_metallic, self.device = is_mostly_metallic(reconstruction), reconstruction.environment.device
+        usual = METAL_SURFACE_WEIGHT if self._mostly_metallic else SURFACE_WEIGHT
+        self._mesh_normals = usual if settings.mesh_normals is None else settings.mesh_normals
         self.counts = self._counts_of(settings.samples)
-        self.device = reconstruction.environment.device
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
         self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[SampleCounts, int], CachedRays]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
@@ -133,9 +135,8 @@ class Relighter:
         """Return a surface with refined normals and albedo, and with origins of secondary rays."""
         if self.brdf == "irgs":  # it has no metal
             surface = dataclasses.replace(surface, metallic=torch.zeros_like(surface.metallic))
-        if self.mesh is not None and self.settings.mesh_normals > 0:
-            surface = self.mesh.refined(surface, self.settings.mesh_normals)
         if self.mesh is not None:
+            surface = self.mesh.refined(surface, self._mesh_normals)
             surface = self.mesh.textured(surface, self._scale)
         return dataclasses.replace(surface, origin=self.query.origins(surface))
 
