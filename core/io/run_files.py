@@ -11,8 +11,8 @@ from pathlib import Path
 from ..errors import InputError
 
 RESULTS = ("gaussians.ply", "environment.exr", "reflections.npz", "background.exr", "reconstruction.json")
-SURFACE = "surface.ply"  # fine surface with the normals of the second stage, where it found them
-RESULTS += (SURFACE, "mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
+FINE_SURFACE = "fine_surface.ply"  # fine surface with the normals of the second stage, where it found them
+RESULTS += (FINE_SURFACE, "mesh.ply", "asset.glb", "scene.blend", "cameras.json", "contact_sheet.png")
 CAPTURE = "capture"  # folder of the captured dataset, where photographs came without cameras
 FOLDERS = (CAPTURE, "checkpoint", "textures", "evaluation", "photographs", "previews")
 LOGS = ("events.jsonl", "log.txt", "cancel", "finish")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..io.run_files import SURFACE
+from ..io.run_files import FINE_SURFACE
 from ..scene.camera import Camera
 from ..scene.gbuffer import GBuffer, SurfaceSamples
 from ..scene.surface import Surface
@@ -76,7 +76,7 @@ def run_normal_source(run: Path, strength: float, cameras: Sequence[Camera], noi
     Raises:
         InputError: if the surface can't be read.
     """
-    fine = load_surface_ply(run / SURFACE)
+    fine = load_surface_ply(run / FINE_SURFACE)
     return NormalSource(strength, fine, fine is not None and resolves(fine, cameras), noise)
 
 

@@ -143,7 +143,7 @@ def write_plys(folder: Path) -> None:
     faces = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
     mesh = Mesh(corners, corners, corners[:, :2], faces, corners, corners[:, 0], corners[:, 1])
     save_mesh_ply(mesh, folder / "mesh.ply")
-    save_surface_ply(Surface(mesh.vertices, mesh.normals, mesh.faces, 0.1), folder / "surface.ply")
+    save_surface_ply(Surface(mesh.vertices, mesh.normals, mesh.faces, 0.1), folder / "fine_surface.ply")
     head = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
     vertices = "".join(f"{x} {y} {z}\n" for x, y, z in corners.tolist())
     (folder / "points.ply").write_text(head + "end_header\n" + vertices)
@@ -252,7 +252,7 @@ READERS = (
         True,
     ),
     Reader("transforms.json", ("transforms.json",), write_transforms, read_dataset, True),
-    Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "surface.ply", "edited.ply"), write_plys, read_ply),
+    Reader("PLY", ("points.ply", "gaussians.ply", "mesh.ply", "fine_surface.ply", "edited.ply"), write_plys, read_ply),
     Reader("EXR", EXRS, write_exrs, lambda _, file: (exr_size(file), read_exr_rgb(file))),
     Reader("HDR", ("light.hdr", "small.hdr"), write_hdrs, lambda _, file: read_environment(file)),
     Reader("PNG and JPEG", IMAGES, write_images, read_any_image),

@@ -17,7 +17,7 @@ from typing import NamedTuple
 
 import torch
 
-from ...io.run_files import SURFACE
+from ...io.run_files import FINE_SURFACE
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.gbuffer_cache import GBufferCache
 from ...rendering.secondary_rays import SecondaryTracer
@@ -62,7 +62,7 @@ class SecondStageResult(NamedTuple):
 
     def save(self, run: Path) -> None:
         """Write the reconstruction and the surface into a run folder."""
-        save_surface_ply(self.surface, run / SURFACE)
+        save_surface_ply(self.surface, run / FINE_SURFACE)
         self.reconstruction.save(run)
 
 
