@@ -95,13 +95,12 @@ def bake(
 def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: Progress) -> None:
     """Bake, and replace the run's mesh and textures."""
     run, size = folder.path, settings.surface.texels
-    before = (folder.state.get("baked") or {}).get("normal_noise")
-    made, edited = rebaked_mesh(run, settings.surface, target, before, progress), target.edited
+    made, edited = rebaked_mesh(run, settings.surface, target, progress), target.edited
     mesh, report = _detailed(made.mesh, made.reconstruction, run, settings, str(folder.state["dataset"]), progress)
     _replace(run, mesh)
     drop_kept_bake(run)
     folder.state["baked"] = {"texture": size, "bits": settings.surface.texture_bits, "triangles": len(mesh.faces)}
-    folder.state["baked"] |= {"mesh": str(edited) if edited else None, "quads": target.quads, "normal_noise": made.noise}
+    folder.state["baked"] |= {"mesh": str(edited) if edited else None, "quads": target.quads}
     folder.state["albedo_detail"] = report.state()
     folder.state["textures"] = texture_state(mesh, size, "as set for the last bake")
     folder.state["height"] = None if made.heights is None else made.heights.state()

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.run_files import FINE_SURFACE
 from ..machine.devices import best
 from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
@@ -23,7 +24,7 @@ from ..settings.schema import SurfaceSettings
 from ..surface.extraction import extract_levels
 from ..surface.height import HeightMap, height_map
 from ..surface.meshing import Triangles, vertex_normals
-from ..surface.normal_source import NormalSource, run_normal_source, surface_noise
+from ..surface.normal_source import NormalSource, run_normal_source
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
 from .quad_mesh import quad_mesh
@@ -66,23 +67,20 @@ class Rebaked:
         mesh: with its textures, among them "height" where there are heights.
         reconstruction: of the run.
         heights: None where they were not asked for, or the mesh is not reduced.
-        noise: largest noise of normals that counted, see `surface_noise`; None where there was no limit.
     """
 
     mesh: Mesh
     reconstruction: Reconstruction
     heights: HeightMap | None
-    noise: float | None
 
 
-def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, noise: float | None, progress: Progress) -> Rebaked:
+def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progress: Progress) -> Rebaked:
     """Bake the textures of a run again.
 
     Args:
         run: folder of the finished run.
         settings: of the surface and its textures.
         target: mesh to bake onto.
-        noise: `Rebaked.noise` of the bake that made the run's mesh, for where that mesh stays; None without one.
         progress: receives steps and messages, and may cancel.
 
     Raises:
@@ -98,28 +96,27 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, noise
         _check_place(given, reconstruction, target.edited)
     cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]
     views = GBufferCache(reconstruction, cameras)
-    surface, fused = _surfaces(reconstruction, views, settings, target, progress)
-    if not target.keeps_mesh and fused is not None:
-        noise = surface_noise(fused, views, reconstruction.surface_samples())
-    normal_source = run_normal_source(run, settings.detail, cameras, noise)
+    fused_needed = target.height or not (run / FINE_SURFACE).is_file()
+    surface, fused = _surfaces(reconstruction, views, settings, target.triangles, fused_needed, progress)
+    normal_source = run_normal_source(run, settings.detail, cameras, fused)
     mesh = _baked(run, given or surface, reconstruction, views, settings, normal_source, progress)
     heights = height_map(mesh, fused, settings.texels) if target.height and fused is not None else None
     if heights is not None:
         mesh = dataclasses.replace(mesh, textures={**mesh.textures, "height": heights.image})
-    return Rebaked(mesh, reconstruction, heights, noise)
+    return Rebaked(mesh, reconstruction, heights)
 
 
 def _surfaces(
-    reconstruction: Reconstruction, views: GBufferCache, settings: SurfaceSettings, target: BakeTarget, progress: Progress
+    reconstruction: Reconstruction, views: GBufferCache, settings: SurfaceSettings, triangles: int | None, fused: bool, progress: Progress
 ) -> tuple[Surface | None, Surface | None]:
-    """Return the new surface within the triangle budget, and the surface as it is fused; None for what the target doesn't need."""
-    if target.keeps_mesh and not target.height:
+    """Return a new surface of at most so many triangles, and if `fused` the surface as it is fused; None for what is not needed."""
+    budgets = ([] if triangles is None else [triangles]) + ([None] if fused else [])
+    if not budgets:
         return None, None
-    budgets = [None] if target.triangles is None else [target.triangles, None]
     # The masks themselves may be gone; the Gaussians were fitted to them.
     masks = [view.alpha for view in views] if reconstruction.background is None else None
     found = extract_levels(views, reconstruction.surface_samples(), reconstruction.bound, settings, progress, masks, budgets)
-    return found[0] if target.triangles is not None else None, found[-1]
+    return found[0] if triangles is not None else None, found[-1] if fused else None
 
 
 def _baked(

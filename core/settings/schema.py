@@ -122,7 +122,7 @@ class SurfaceSettings:
     smoothing: Annotated[int, Range(0, 1000)] = 10  # smoothing passes before decimation
     normal_averages: Annotated[int, Range(0, 100)] = 5  # passes that average vertex normals with their neighbours
     fragment: Annotated[float, Range(0, 1)] = 0.03  # components below this fraction of the largest one's area are removed
-    detail: Annotated[float, Range(0, 1)] = 1.0  # fraction of the detail of the views' normals, above their noise, in the normal map
+    detail: Annotated[float, Range(0, 1)] = 1.0  # fraction of the usual weight of the views' normals in the normal map
     albedo_detail: Choice = "auto"  # albedo from full-size photographs; auto: where they are finer and held-back ones agree better
     triangles: Annotated[int, Range(100, 100_000_000)] = 100_000  # largest number after decimation
     triangles_per_pixel: Annotated[float, Range(0)] = 2.5  # of these, for each pixel of the object by its masks; 0: always `triangles`

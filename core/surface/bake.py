@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Tangent frames, and normals with detail, of textures."""
+"""Tangent frames of textures."""
 
 from __future__ import annotations
 
@@ -7,9 +7,6 @@ import numpy as np
 
 from .mesh_texels import flat_cross
 from .meshing import unit
-
-NOISE_RATIO = 1.5  # differences between two normals below this multiple of their median count as noise
-MAX_NORMAL_SINE = 0.8  # sine of the largest angle between the normals of texture and mesh
 
 
 def tangents(vertices: np.ndarray, normals: np.ndarray, uvs: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -62,36 +59,3 @@ def tangent_space(direction: np.ndarray, normal: np.ndarray, tangent: np.ndarray
     """
     bitangent = side[:, None] * np.cross(normal, tangent)
     return np.stack([(direction * axis).sum(-1) for axis in (tangent, bitangent, normal)], -1)
-
-
-def normal_noise(normal: np.ndarray, fused: np.ndarray, seen: np.ndarray) -> float:
-    """Return the sine of the angle between the mesh's normals and those fused from the views that counts as noise.
-
-    Args:
-        normal: (P, 3) unit normals of the mesh.
-        fused: (P, 3) unit normals fused from the views.
-        seen: (P,) bool, points that some view sees; without any, the noise is 0.
-    """
-    cosine = np.einsum("pc,pc->p", fused[seen], normal[seen], dtype=np.float64)
-    return NOISE_RATIO * float(np.median(np.sqrt(np.clip(1 - cosine * cosine, 0, 1)))) if len(cosine) else 0.0
-
-
-def add_normal_detail(normal: np.ndarray, fused: np.ndarray, noise: float, strength: float) -> np.ndarray:
-    """Turn the mesh's normals towards those fused from the views as far as the difference exceeds its noise.
-
-    Smooth parts stay smooth, and creases that smoothing removed return.
-
-    Args:
-        normal: (P, 3) unit normals of the mesh.
-        fused: (P, 3) unit normals fused from the views.
-        noise: sine of the angle up to which they are equal, see `normal_noise`.
-        strength: factor of the difference beyond the noise, 0..1.
-
-    Returns:
-        (P, 3) unit normals.
-    """
-    difference = _perpendicular(fused, normal)
-    sine = np.linalg.norm(difference, axis=-1, keepdims=True)
-    turn = np.clip(sine - noise, 0, MAX_NORMAL_SINE)
-    along = difference / np.maximum(sine, 1e-9) * strength * turn
-    return unit(normal * np.sqrt(1 - (strength * turn) ** 2) + along)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Unwrapping, tangent frames, and normals with detail."""
+"""Unwrapping, and tangent frames."""
 
 import numpy as np
 import pytest
@@ -68,23 +68,3 @@ def test_tangent_space_undoes_the_frame():
     side = np.where(rng.random(50) < 0.5, -1.0, 1.0)
     world = local[:, :1] * tangent + local[:, 1:2] * side[:, None] * np.cross(normal, tangent) + local[:, 2:] * normal
     np.testing.assert_allclose(bake.tangent_space(world, normal, tangent, side), local, atol=1e-12)
-
-
-def test_detail_drops_noise_and_keeps_creases():
-    rng = np.random.default_rng(0)
-    normal = np.tile([0, 0, 1.0], (4000, 1))
-    fused = normal + np.concatenate([0.05 * rng.normal(size=(4000, 2)), np.zeros((4000, 1))], -1)
-    fused[:200] = [0.6, 0, 0.8]  # a crease that smoothing took away
-    fused[200:210] = [-1, 0, 0.0]
-    fused /= np.linalg.norm(fused, axis=-1, keepdims=True)
-    seen = np.ones(4000, bool)
-    noise = bake.normal_noise(normal, fused, seen)
-    kept = bake.add_normal_detail(normal, fused, noise, 1.0)
-    np.testing.assert_allclose(np.linalg.norm(kept, axis=-1), 1)
-    assert np.linalg.norm(kept - normal, axis=-1)[210:].mean() < 0.3 * np.linalg.norm(fused - normal, axis=-1)[210:].mean()
-    assert np.abs(kept - fused)[:200].max() < 0.12
-    assert (kept[:, 2] >= np.sqrt(1 - bake.MAX_NORMAL_SINE**2) - 1e-9).all()
-    np.testing.assert_allclose(bake.add_normal_detail(normal, fused, noise, 0.0), normal)
-    assert bake.normal_noise(normal, fused, ~seen) == 0  # without a seen point
-    unseen = bake.add_normal_detail(normal, fused, 0.0, 1.0)
-    np.testing.assert_allclose(unseen[210:, 2], fused[210:, 2])

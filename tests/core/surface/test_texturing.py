@@ -14,7 +14,7 @@ from irgspp.core.surface.bake import tangents
 from irgspp.core.surface.extraction import extract_geometry, extract_levels
 from irgspp.core.surface.mesh_texels import mesh_texels
 from irgspp.core.surface.meshing import unit
-from irgspp.core.surface.normal_source import NormalSource, surface_noise
+from irgspp.core.surface.normal_source import NormalSource
 from irgspp.core.surface.texturing import textured_mesh
 
 SETTINGS = SurfaceSettings(voxels=64, triangles=8000, texture=256)
@@ -131,20 +131,6 @@ def shaded_normals(mesh, size):
     bitangent = frames[mesh.faces[texels.face, 0], 3:] * np.cross(normal, tangent)
     code = mesh.textures["normal"].reshape(-1, 3)[texels.index] / 127.5 - 1
     return texels.interpolate(mesh.vertices, mesh.faces), unit(code[:, :1] * tangent + code[:, 1:2] * bitangent + code[:, 2:] * normal)
-
-
-def test_shape_that_a_reduced_mesh_has_lost_is_no_noise(solids, camera_ring, bound):
-    solid, settings = solids["torus"], replace(SETTINGS, texture=128)
-    views, samples = [solid.view(camera) for camera in camera_ring(20)], solid.samples()
-    coarse, fine = extract_levels(views, samples, bound, settings, Silent(), None, (250, None))
-    noise, errors = surface_noise(fine, views, samples), []
-    for limit in (None, noise):
-        points, normals = shaded_normals(
-            textured_mesh(coarse, views, samples, settings, Silent(), normal_source=NormalSource(1.0, noise=limit)), 128
-        )
-        cosine = (normals * solid.gradient(solid.project(points))).sum(-1)
-        errors.append(np.degrees(np.arccos(np.clip(cosine, -1, 1))).mean())
-    assert errors[1] < 0.7 * errors[0]
 
 
 def test_a_fine_surface_gives_a_reduced_mesh_its_normals(solids, camera_ring, bound):
