@@ -142,6 +142,16 @@ def test_modules_and_names_in_code_exist(page):
         assert whole or (file and name in definitions(file)), f"{page.name}: {module}.{name}"
 
 
+# --- modules
+
+
+@pytest.mark.parametrize("page", sorted((ROOT / "docs" / "api").glob("*.md")), ids=lambda page: page.name)
+def test_modules_of_the_reference_exist(page):
+    named = re.findall(r"^::: irgspp\.([\w.]+)$", page.read_text("utf-8"), re.MULTILINE)
+    places = [ROOT / name.replace(".", "/") for name in named]
+    assert named and not [place for place in places if not (place.with_suffix(".py").is_file() or (place / "__init__.py").is_file())]
+
+
 # --- settings
 
 
