@@ -26,8 +26,10 @@ SCALE = 0.5  # scale of the rendered image in large 3D Views, along each side
 LARGE = 700  # longer side of a large 3D View in pixels
 # Panels of features that the engine does not have: stereo, Freestyle, Grease Pencil, motion blur, simplification of scenes
 EXCLUDED = {"RENDER_PT_stereoscopy", "RENDER_PT_freestyle", "RENDER_PT_gpencil", "RENDER_PT_simplify", "RENDER_PT_motion_blur"}
-# Panels of EEVEE that apply as well: nodes of the World, material slots and nodes of the material
-SHARED = {"EEVEE_WORLD_PT_surface", "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface"}
+# A lamp's type alone, which is in EEVEE's panel, too; the node editor's panel has the same set of engines.
+EXCLUDED |= {"DATA_PT_light", "NODE_DATA_PT_light"}
+# Panels of EEVEE that apply as well: nodes of the World, material slots and nodes of the material, colour, power and size of a lamp
+SHARED = {"EEVEE_WORLD_PT_surface", "EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface", "DATA_PT_EEVEE_light"}
 
 
 class IRGSPP_RenderEngine(bpy.types.RenderEngine):
@@ -224,7 +226,7 @@ def _viewport_settings(scene: bpy.types.Scene) -> dict[str, Any]:
 
 
 def compatible_panels() -> list[type]:
-    """Return Blender's panels that apply to this engine: those common to all engines, and the nodes of World and material."""
+    """Return Blender's panels that apply to this engine: those common to all engines, and those of EEVEE in SHARED."""
     return [panel for panel in bpy.types.Panel.__subclasses__() if _is_compatible(panel)]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Properties editor while IRGS++ is the render engine: World nodes, material slots, sampling and film are there."""
+"""Properties editor while IRGS++ is the render engine: World nodes, material slots, lamps, sampling and film are there."""
 
 from types import SimpleNamespace
 
@@ -36,6 +36,13 @@ def test_the_nodes_of_the_world_are_in_its_tab(context):
 
 def test_material_slots_and_nodes_are_in_the_material_tab(context):
     assert {"EEVEE_MATERIAL_PT_context_material", "EEVEE_MATERIAL_PT_surface"} <= shown(context, "material")
+
+
+@pytest.mark.parametrize("kind", ["POINT", "SUN", "SPOT", "AREA"])
+def test_colour_power_and_size_of_a_lamp_are_in_its_tab(context, kind):
+    context.light = bpy.data.lights.new("lamp", kind)
+    names = {name for name in ("light", "EEVEE_light", "spot") if getattr(bpy.types, f"DATA_PT_{name}").poll(context)}
+    assert names == {"EEVEE_light"} | ({"spot"} if kind == "SPOT" else set())
 
 
 def test_samples_and_film_are_in_the_render_tab(context):
