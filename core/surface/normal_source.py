@@ -19,8 +19,9 @@ from .nearest_hits import NearestTracer
 from .voxel_grid import footprint
 
 CHUNK = 1 << 20  # points whose normals are computed at a time
-# Weight of the views' normals in the mean with those of the surface. The errors of both have little in common: on scenes of five kinds
-# and on metal, a mean with equal weights errs less than either, or as the better one.
+# Weight of the views' normals in the mean with those of the surface. The errors of both have little in common: a mean with
+# equal weights errs as little as the better one or less on metal and four of five other scenes. On relief the views know more
+# (igea_relief: the fused surface 5.3 degrees, the views 4.1, the mean 4.6), but there shading finds a fine surface.
 VIEWS_WEIGHT = 0.5
 REPEATED_WEIGHT = 0.3  # the same, without a fine surface: once at the vertices, and once more at the texels between them
 # Pixels that the edges of a fine surface are long, at most, where its normals hold all that the views show. The views' normals are

@@ -53,7 +53,8 @@ class SecondStageResult(NamedTuple):
     Attributes:
         reconstruction: with materials and light.
         schedule_scale: schedules as a multiple of the settings'.
-        surface: surface with the normals that explain the photographs' shading, finer than the one given; None where none were found.
+        surface: surface with the normals that explain the photographs' shading, of four times the given triangles; the given one where
+            the light turns; None for an object of metal, or where surfels have moved.
     """
 
     reconstruction: Reconstruction
