@@ -164,9 +164,10 @@ class LightMaterialSolver:
         self._update_model()
 
     def grow_metal(self) -> None:
-        """Redraw the borders of metal with searched normals, too; at least one point is metal."""
-        costs = self._costs()
-        self._set_materials(costs, self._search.grown_metal(costs, self.metallic > 0, self.light, self.surface_normal), with_prior=True)
+        """Redraw the borders of metal by searched normals and colours, too; at least one point is metal."""
+        costs, weight = self._costs(), self.robust_weight * self.derivative**2
+        metal = self._search.grown_metal(costs, self.metallic > 0, self.light, weight, self.surface_normal)
+        self._set_materials(costs, metal, with_prior=True)
 
     def turn_metal(self) -> None:
         """Search the normals of metal by its reflections, with its roughness, and let the light follow; at least one point is metal."""

@@ -8,14 +8,16 @@ import copy
 import torch
 
 from ....shading.specular_albedo import diffuse_fraction
-from .metal_cut import SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
-from .metal_normals import turned_metal_errors
+from .metal_colours import colour_evidence
+from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
+from .metal_normals import turned_metal
 from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
 from .roughness_prior import with_roughness_prior
 from .sample_equation import least_squares_albedo, robust_error, view_terms
+from .sample_radiance import SampleRadiance
 
 ROUGHNESS_VALUES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.6, 0.7, 0.85, 1.0)  # searched
 NOISE_ERROR = 1.0  # robust error of a view, about, that noise alone makes; the ratio of errors below it tells nothing
@@ -121,8 +123,10 @@ class MaterialSearch:
         dielectric, conductor = (least / self._views + NOISE_ERROR for least in self._least(costs))
         return cut_metal((dielectric / conductor).log(), metal, self._neighbours, self._similarity)
 
-    def grown_metal(self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, surface_normal: torch.Tensor) -> torch.Tensor:
-        """Redraw the borders of metal with searched normals, too: wrong ones make a part of it look like a dielectric.
+    def grown_metal(
+        self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, weight: torch.Tensor, surface_normal: torch.Tensor
+    ) -> torch.Tensor:
+        """Redraw the borders of metal by searched normals and colours, too: wrong normals make a part of it look like a dielectric.
 
         A metal's error is the geometric mean of that with the surface's normal and that with the best one near it. By the latter alone,
         metal spread to what mirrors it.
@@ -131,15 +135,20 @@ class MaterialSearch:
             costs: (P, M, J), see `costs`.
             metal: (P,) bool, metal so far, at least one point.
             light: (T, 3) linear radiance of the texels.
+            weight: (K, 3) of the samples, with which the albedo of dielectrics is fitted.
             surface_normal: (P, 3) unit normals of the surface.
         """
         near = within_rings(metal, self._neighbours)
         samples, transfer = self.samples.subset(near), self.transfer.subset(near)
-        turned = turned_metal_errors(samples, transfer, light, surface_normal[near], metal[near]) + NOISE_ERROR
+        turned, as_metal = turned_metal(samples, transfer, light, surface_normal[near], metal[near])
         dielectric, conductor = (least[near] / self._views + NOISE_ERROR for least in self._least(costs))
-        evidence = light.new_zeros(len(metal))
-        evidence[near] = dielectric.log() - (conductor.log() + turned.log()) / 2
-        return cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
+        by_error = dielectric.log() - (conductor.log() + (turned + NOISE_ERROR).log()) / 2
+        as_dielectric = self._dielectric_albedo(costs, light, weight)[near]
+        evidence, grown = light.new_zeros(len(metal)), metal
+        for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
+            evidence[near] = by_error + COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown[near])
+            grown = cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
+        return grown
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""
@@ -149,6 +158,12 @@ class MaterialSearch:
         """Compute by how much less a metal's fit costs than a dielectric's, per view: (P,)."""
         dielectric, metal = self._least(self._smoothed(costs))
         return (dielectric - metal) / self._views
+
+    def _dielectric_albedo(self, costs: torch.Tensor, light: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        """Fit the albedo (P, 3) of all points as dielectrics of the roughness of least cost; see `costs` for the arguments."""
+        roughness = parabola_minimum(self._knots, costs[:, 0])
+        radiance = SampleRadiance(self.samples, self.transfer, self._diffuse, roughness, torch.zeros_like(roughness))
+        return least_squares_albedo(self.samples, weight, *radiance.terms(light))
 
     @staticmethod
     def _least(costs: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:

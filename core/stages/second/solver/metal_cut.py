@@ -17,11 +17,10 @@ from scipy.sparse.csgraph import breadth_first_order, maximum_flow
 # that became metal, and points of metal that did not: capture_ogre 112 and 111 by a threshold, 50 and 57 by the cut; rocker_corner 13
 # and 57, 1 and 70; suzanne_mixed 5 and 24, 3 and 18.
 METAL_PRIOR, NEIGHBOUR_COUPLING = 0.06, 0.75
-# The same where normals of metal are searched, too (`MaterialSearch.grown_metal`). Such points before, and now (by searched normals alone):
-# capture_ogre 39 and 86, 42 and 58 (37, 67); rocker_corner 0 and 40, 0 and 28 (0, 31), in another run 1 and 49, 6 and 23 (26, 7);
-# suzanne_mixed 1 and 5, 1 and 1 (1, 1). On two other scenes metal leaks, 80 and 24 -> 122 and 7, 26 and 17 -> 48 and 3; but by searched
-# normals alone with .16 (60 and 28, 30 and 16) albedo loses .1 to .35 dB on all of five scenes, as metal that is missed costs more.
-SEARCHED_NORMALS_PRIOR = 0.2
+# The prior where normals of metal are searched, too, and colours are compared (`MaterialSearch.grown_metal`); weight of the colours'
+# evidence, and passes in which colours and borders are found in turns. `metal_colours` has figures of five scenes; priors of .06 to .15 and
+# weights of .2 to .3 give about the same. By searched normals alone metal leaked; without them, more of it was missed, which costs more.
+SEARCHED_NORMALS_PRIOR, COLOUR_WEIGHT, COLOUR_PASSES = 0.1, 0.3, 2
 MAX_RINGS = 4  # rings of neighbours around metal that may become metal
 MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about 2 NEIGHBOUR_COUPLING, so that more decides by itself
 CAPACITY_SCALE = 10_000  # capacities are integers, in this fraction of the evidence's unit

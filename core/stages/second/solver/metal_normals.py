@@ -48,10 +48,10 @@ def reflected_normals(
     return normal[row, shared.argmin(1)], parabola_minimum(knots, shared)
 
 
-def turned_metal_errors(
+def turned_metal(
     samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, surface_normal: torch.Tensor, metal: torch.Tensor
-) -> torch.Tensor:
-    """Compute the error of points as metal, with the best normal near the surface's, and with the roughness of the metal nearby.
+) -> tuple[torch.Tensor, torch.Tensor]:
+    """Fit points as metal, with the best normal near the surface's, and with the roughness of the metal nearby.
 
     Args:
         samples: K samples of P points.
@@ -61,18 +61,20 @@ def turned_metal_errors(
         metal: (P,) bool, points known to be metal, at least one.
 
     Returns:
-        (P,) mean error of a view, with what the turn costs.
+        (P,) mean error of a view, with what the turn costs, and the albedo (P, 3), which may exceed 1.
     """
     knots = light.new_tensor(SEARCHED_ROUGHNESS)
     of_metal, _ = search_normals(samples.subset(metal), transfer.subset(metal), light, surface_normal[metal], knots)
     nearby = nearest_neighbours(samples.position[metal], samples.position, ROUGHNESS_NEIGHBOURS)
     roughness = of_metal[nearby].mean(1).argmin(1)
-    least = light.new_empty(len(metal))
+    least, albedo = light.new_empty(len(metal)), light.new_empty(len(metal), 3)
     for knot in roughness.unique():
         chosen = roughness == knot
-        of_knot = search_normals(samples.subset(chosen), transfer.subset(chosen), light, surface_normal[chosen], knots[knot : knot + 1])
-        least[chosen] = of_knot[0][:, 0]
-    return least
+        some, to_some, value = samples.subset(chosen), transfer.subset(chosen), knots[knot : knot + 1]
+        errors, normal = search_normals(some, to_some, light, surface_normal[chosen], value)
+        least[chosen] = errors[:, 0]
+        (albedo[chosen],), _ = _fits(replace(some, normal=normal[:, 0].contiguous()), to_some, light, value)
+    return least, albedo
 
 
 def search_normals(
@@ -93,7 +95,8 @@ def search_normals(
     least = light.new_full((len(around), len(knots)), math.inf)
     normal = around[:, None].repeat(1, len(knots), 1)
     for turn, turned in _turned(around):
-        cost = _errors(replace(samples, normal=turned), transfer, light, knots) + TURN_COST * (turn / RING_ANGLE) ** 2
+        _, errors = _fits(replace(samples, normal=turned), transfer, light, knots)
+        cost = errors + TURN_COST * (turn / RING_ANGLE) ** 2
         better = cost < least
         least = torch.where(better, cost, least)
         normal = torch.where(better[..., None], turned[:, None], normal)
@@ -118,15 +121,17 @@ def _least_axis(normal: torch.Tensor) -> torch.Tensor:
     return torch.nn.functional.one_hot(normal.abs().argmin(1), 3).to(normal)
 
 
-def _errors(samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, knots: torch.Tensor) -> torch.Tensor:
-    """Compute the robust error of a view (P, J), on average, of points as metal of roughness `knots` (J,)."""
+def _fits(
+    samples: MultiViewSamples, transfer: RadianceTransfer, light: torch.Tensor, knots: torch.Tensor
+) -> tuple[list[torch.Tensor], torch.Tensor]:
+    """Fit the albedo of points as metal of roughness `knots` (J,): one (P, 3) for each, and the mean robust error of a view (P, J)."""
     derivative = approximate_srgb_derivative(samples.colour)
     f0_term, fresnel_term = transfer.sums(samples, knots, light)
-    errors = []
+    albedo, errors = [], []
     for factor, rest in zip(f0_term.unbind(1), fresnel_term.unbind(1), strict=True):  # y = a S + S' for a metal
-        albedo = least_squares_albedo(samples, derivative**2, factor, rest).clamp(0, 1)
-        errors.append(robust_error(samples, albedo[samples.point] * factor + rest, derivative))
-    return torch.stack(errors, 1) / samples.lengths[:, None]
+        albedo.append(least_squares_albedo(samples, derivative**2, factor, rest))
+        errors.append(robust_error(samples, albedo[-1].clamp(0, 1)[samples.point] * factor + rest, derivative))
+    return albedo, torch.stack(errors, 1) / samples.lengths[:, None]
 
 
 def _averaged(position: torch.Tensor, values: torch.Tensor) -> torch.Tensor:

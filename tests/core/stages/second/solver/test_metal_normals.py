@@ -9,7 +9,7 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
-from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals, turned_metal_errors
+from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals, turned_metal
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from irgspp.core.stages.second.solver.solver_run import NORMAL_SEARCHES, run_solver
 from sphere_on_floor import make, start
@@ -86,7 +86,7 @@ def test_the_solver_turns_metal_alone_and_keeps_the_surface():
 
 def test_wrong_normals_hide_no_metal_and_make_none():
     """Three quarters of the brass are known; the normals of the rest are wrong by 17 degrees or so."""
-    transfer, seen, (light, _, roughness, metallic) = make(900, 14)
+    transfer, seen, (light, albedo, roughness, metallic) = make(900, 14)
     metal = metallic > 0
     wrong = seen.normal + 0.2 * torch.randn(seen.normal.shape, generator=torch.Generator().manual_seed(0))
     wrong = wrong / wrong.norm(dim=1, keepdim=True)
@@ -96,8 +96,9 @@ def test_wrong_normals_hide_no_metal_and_make_none():
     solver = start(seen, transfer)
     solver.light, solver.roughness, solver.metallic = light, roughness.clone(), known.float()
     solver._update_model()
-    free = turned_metal_errors(seen, transfer, light, seen.normal, known)
+    free, as_metal = turned_metal(seen, transfer, light, seen.normal, known)
     dielectric, fixed = (least / seen.lengths for least in solver._search._least(solver._costs()))
+    torch.testing.assert_close(as_metal[known], albedo[known], atol=0.05, rtol=0)
     assert free[hidden].mean() < 0.6 * fixed[hidden].mean()
     assert float((free < dielectric)[metal].float().mean()) > 0.9 > 0.1 > float((free < dielectric)[~metal].float().mean())
     solver.grow_metal()

@@ -1,0 +1,43 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Evidence for metal by colour: the albedo that a point would have as metal is compared with that of the metal nearby.
+
+Around a metal part lie points that reflect what their neighbour reflects, such as skin beside a golden belt. As metal they fit about as
+well as the metal does, but with another tint. The tints of either material are estimated by kernel densities, so that a metal may have
+several.
+"""
+
+from __future__ import annotations
+
+import torch
+
+# Width of the kernel in log ratios of channels, and what is added to its mean value, so that no tint is impossible. Points of another
+# material that became metal, and points of metal that did not, without and with the colours: capture_ogre 80 and 27, 8 and 17;
+# rocker_corner 1 and 13, 0 and 8; suzanne_mixed 5 and 1, 5 and 2; a vase with glazed bands 49 and 10, 7 and 4; a basket with a chain 14
+# and 0, 6 and 1.
+# Widths of .1 to .2 and floors of .02 to .04 give about the same.
+TINT_WIDTH, FLOOR = 0.14, 0.04
+DARKEST = 0.01  # albedo below which a channel tells no tint
+
+
+def colour_evidence(as_metal: torch.Tensor, as_dielectric: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
+    """Compute the log of a ratio of densities: of a point's tint as metal among metal, and of its tint as a dielectric among dielectrics.
+
+    A point is not compared with itself.
+
+    Args:
+        as_metal: (P, 3) albedo of the points as metal.
+        as_dielectric: (P, 3) their albedo as dielectrics.
+        metal: (P,) bool, points that count as metal so far.
+
+    Returns:
+        (P,), positive where the colour speaks for metal, within +-log(1 / FLOOR + 1).
+    """
+    return (_density(as_metal, metal) + FLOOR).log() - (_density(as_dielectric, ~metal) + FLOOR).log()
+
+
+def _density(albedo: torch.Tensor, members: torch.Tensor) -> torch.Tensor:
+    """Return the mean (P,) in 0..1 of a kernel of the differences between a point's tint and those of other points, the `members`."""
+    log = albedo.clamp_min(DARKEST).log()
+    tint = torch.stack([log[:, 0] - log[:, 1], log[:, 2] - log[:, 1]], 1)
+    kernel = torch.exp(-0.5 * (torch.cdist(tint, tint) / TINT_WIDTH) ** 2).fill_diagonal_(0)
+    return (kernel * members).sum(1) / (members.sum() - members.to(kernel)).clamp_min(1)
