@@ -33,7 +33,7 @@ from .albedo_prior import ALBEDO_RANGE, CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBE
 from .light_prior import LightPrior
 from .linear_system import damped_step
 from .material_search import MaterialSearch
-from .metal_normals import reflected_normals
+from .metal_normals import metal_trust, reflected_normals
 from .metal_regions import completed_metal, confirm_metal, sharp_regions
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
@@ -45,8 +45,8 @@ MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # roughness and metallic are searc
 METAL_TEST_STEP = 28  # one of these, at which the candidates for metal are tested instead; points join them before it
 METAL_BORDERS_STEP = 38  # one of these, at which the borders of metal are drawn anew: the light has adapted to the metal by then
 TEST_STEPS = 4  # steps in which the light adapts to each hypothesis of the test
-# A Hessian of the light costs most of a step. It counts for so many steps at most, while the materials stay and the last step changed the
-# log light by less than MAX_HESSIAN_STEP (root mean square): with older ones, the solver found none of the metal on rocker_corner.
+# A Hessian costs most of a step. It counts for so many, while materials stay and the last step changed the log light by less than
+# MAX_HESSIAN_STEP (root mean square): with older ones, the solver found none of the metal on rocker_corner.
 MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 # Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
 SPLIT_CAUCHY_FACTOR = 4.0
@@ -108,6 +108,7 @@ class LightMaterialSolver:
         self._search = MaterialSearch(samples, transfer, self._diffuse, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
+        self._trust = mean.new_ones(len(mean))  # by which points count for the light
         # Root mean square of the last step of the log light, and factor of CAUCHY_SCALE in the next one.
         self._moved, self._loosened = math.inf, 1.0
         self._update_model()
@@ -176,9 +177,7 @@ class LightMaterialSolver:
         normal, self.roughness = self.samples.normal.clone(), self.roughness.clone()
         normal[metal], self.roughness[metal] = reflected_normals(samples, transfer, self.light, self.surface_normal[metal])
         self.samples = replace(self.samples, normal=normal)
-        self._update_model()
-        for _ in range(TURN_STEPS):
-            self._step(STEPS)
+        self._follow(TURN_STEPS)
 
     def settle(self) -> float:
         """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change.
@@ -188,9 +187,7 @@ class LightMaterialSolver:
         before, metal = self.roughness, self.metallic > 0
         likely = self._search.likely_roughness(self._costs(), metal, self.albedo)
         self.roughness = torch.where(metal, before, likely)
-        self._update_model()
-        for _ in range(SETTLING_STEPS):
-            self._step(STEPS, SETTLING_WEIGHT)
+        self._follow(SETTLING_STEPS, SETTLING_WEIGHT)
         return float((self.roughness - before).square().mean().sqrt())
 
     def reduce_tint(self) -> None:
@@ -199,8 +196,7 @@ class LightMaterialSolver:
             return
         likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
         change = (likely - self._light_prior.tint(self.light)).exp()
-        self.light = self.light * change
-        self.albedo = (self.albedo / change).clamp(*ALBEDO_RANGE)
+        self.light, self.albedo = self.light * change, (self.albedo / change).clamp(*ALBEDO_RANGE)
 
     def error(self) -> float:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
@@ -213,6 +209,13 @@ class LightMaterialSolver:
     def _robust_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
         return robust_error(self.samples, self._radiance(), self.derivative)
+
+    def _follow(self, steps: int, prior_weight: float | None = None) -> None:
+        """Let the light follow changed normals or materials; from now on, points of metal that fit badly count less for it."""
+        self._update_model()
+        self._trust = metal_trust(self._robust_errors() / self.samples.lengths, self.metallic > 0)
+        for _ in range(steps):
+            self._step(STEPS, prior_weight)
 
     def _radiance(self) -> torch.Tensor:
         """Return the radiance (K, 3) that the samples should have."""
@@ -237,19 +240,16 @@ class LightMaterialSolver:
         anchor, pull = albedo_prior(self.albedo, done, self.start_albedo, self.generator, prior_weight)
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
+        weight = weight * self._trust[samples.point, None]
         if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP:
+            total = samples.sums(weight * factor * factor) + pull
             self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, total), 0
         self._age += 1
         residual = self.albedo[samples.point] * factor + rest - y
         self._step_light(self._hessian, self._model.gradient(self.albedo, weight * residual))
 
     def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor) -> None:
-        """Do a damped Gauss-Newton step of the light, in which the albedo follows.
-
-        Args:
-            hessians: (T, T) of each channel.
-            gradient: (T, 3).
-        """
+        """Do a damped Gauss-Newton step of the light, by the Hessian (T, T) of each channel and the gradient (T, 3)."""
         log_light = self.light.log()
         step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.form(self.light))
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT_RANGE).exp())

@@ -9,7 +9,14 @@ import pytest
 import torch
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
-from irgspp.core.stages.second.solver.metal_normals import RING_ANGLE, RINGS, SEARCHED_ROUGHNESS, reflected_normals, turned_metal
+from irgspp.core.stages.second.solver.metal_normals import (
+    RING_ANGLE,
+    RINGS,
+    SEARCHED_ROUGHNESS,
+    metal_trust,
+    reflected_normals,
+    turned_metal,
+)
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from irgspp.core.stages.second.solver.solver_run import NORMAL_SEARCHES, run_solver
 from sphere_on_floor import make, start
@@ -129,3 +136,9 @@ def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
     solver = SimpleNamespace(**metal, advance=done.append, reduce_tint=lambda: done.append("tint"))
     run_solver(solver, on_step=lambda steps: steps == STEPS)
     assert done == [*range(STEPS), "tint"]
+
+
+def test_metal_that_fits_badly_counts_less_for_the_light():
+    error = torch.tensor([1.0, 2.0, 4.0, 8.0, 0.0])
+    metal = torch.tensor([True, False, True, False, True])
+    torch.testing.assert_close(metal_trust(error, metal), torch.tensor([1.0, 1.0, 0.5, 1.0, 1.0]))
