@@ -21,7 +21,7 @@ class AssetOptions:
 
     Attributes:
         lods: True to add NAME_LOD1 and NAME_LOD2 with a half and a quarter of the triangles, which share the textures.
-        collision: True to add convex hulls UCX_NAME_00 and so on.
+        collision: True to add convex hulls UCX_NAME_00 and so on; UCX_NAME_LOD0_00 with levels of detail.
         textures: "packed" into the file, "beside" it in the folder NAME_textures, or "auto": packed where the format can.
         normal_map: "opengl" or "directx".
     """

@@ -49,7 +49,7 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     if job["lods"]:
         add_levels(full, job["lods"], name)
     if job["hulls"]:
-        add_hulls(full, Path(job["hulls"]), name, np.array(job["offset"]))
+        add_hulls(full, Path(job["hulls"]), np.array(job["offset"]))
     for target in targets:
         write = WRITERS.get(target.suffix.lower())
         if write is None:

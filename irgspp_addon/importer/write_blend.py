@@ -66,7 +66,7 @@ def _add_parts(full: bpy.types.Object, parts: dict[str, Any]) -> None:
     """Add levels of detail, of which only the first is shown, and collision hulls, which are hidden."""
     name = parts["name"]
     levels = add_levels(full, parts["lods"], name) if parts["lods"] else []
-    hulls = add_hulls(full, Path(parts["hulls"]), name, np.zeros(3)) if parts["hulls"] else []
+    hulls = add_hulls(full, Path(parts["hulls"]), np.zeros(3)) if parts["hulls"] else []
     for thing in (*levels, *hulls):
         thing.hide_render = True
         thing.hide_set(True)

@@ -167,7 +167,7 @@ def test_export_for_other_programs_with_levels_and_textures_beside(run, tmp_path
     before = set(bpy.data.objects)
     bpy.ops.import_scene.fbx(filepath=str(target))
     found = {thing.name for thing in set(bpy.data.objects) - before}
-    assert {"chair_LOD0", "chair_LOD1", "chair_LOD2", "UCX_chair_00"} <= found
+    assert {"chair_LOD0", "chair_LOD1", "chair_LOD2", "UCX_chair_LOD0_00"} <= found
     assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith((".", "chair"))) == ["chair.fbx", "chair_textures"]
 
 

@@ -196,12 +196,12 @@ def psnr(image, reference) -> float:
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != "usdz"])
 def test_levels_share_the_material_and_hulls_are_named_for_engines(written, suffix):
     found = reread(written, suffix)
-    assert sorted(found) == ["UCX_ball_00", "UCX_ball_01", "ball_LOD0", "ball_LOD1", "ball_LOD2"]
+    assert sorted(found) == ["UCX_ball_LOD0_00", "UCX_ball_LOD0_01", "ball_LOD0", "ball_LOD1", "ball_LOD2"]
     count = [len(found[f"ball_LOD{i}"].data.polygons) for i in range(3)]
     assert abs(count[1] / count[0] - 0.5) < 0.02 and abs(count[2] / count[0] - 0.25) < 0.02
     assert len({found[f"ball_LOD{i}"].active_material.name for i in range(3)}) == 1
-    assert not found["UCX_ball_00"].data.materials or suffix == "obj"
-    box = np.array([found["UCX_ball_01"].matrix_world @ vertex.co for vertex in found["UCX_ball_01"].data.vertices])
+    assert not found["UCX_ball_LOD0_00"].data.materials or suffix == "obj"
+    box = np.array([found["UCX_ball_LOD0_01"].matrix_world @ vertex.co for vertex in found["UCX_ball_LOD0_01"].data.vertices])
     np.testing.assert_allclose([box.min(0), box.max(0)], [[-1, -1, 0], [0, 0, 1]], atol=1e-5)
 
 
@@ -225,7 +225,7 @@ def test_blend_has_levels_hidden_hulls_and_textures_beside_it(run_folder, hulls,
         made.rename(tmp_path / made.name)
     bpy.ops.wm.open_mainfile(filepath=str(final))
     things = {thing.name: thing for thing in bpy.context.scene.objects if thing.type == "MESH"}
-    assert sorted(things) == ["UCX_sphere_00", "UCX_sphere_01", "sphere_LOD0", "sphere_LOD1", "sphere_LOD2"]
+    assert sorted(things) == ["UCX_sphere_LOD0_00", "UCX_sphere_LOD0_01", "sphere_LOD0", "sphere_LOD1", "sphere_LOD2"]
     assert [name for name, thing in things.items() if thing.visible_get()] == ["sphere_LOD0"]
     assert all(thing.parent == things["sphere_LOD0"].parent for thing in things.values())
     nodes = things["sphere_LOD0"].active_material.node_tree.nodes
