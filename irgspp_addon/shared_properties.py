@@ -127,6 +127,11 @@ COLLISION: Definition = {
     "name": "Collision Hulls",
     "description": "Add a few convex solids that game engines take as the collision shape (UCX_...)",
 }
+AS_PLACED: Definition = {
+    "name": "As in the Scene",
+    "description": "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed",
+    "default": True,
+}
 TEXTURES: Definition = {"name": "Textures", "description": "Place of the textures", "items": TEXTURE_PLACES}
 NORMAL_MAP: Definition = {
     "name": "Normal Map",

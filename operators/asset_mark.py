@@ -12,7 +12,9 @@ from bpy.props import StringProperty
 from ..core.errors import InputError, IrgsppError
 from ..core.scene.camera import Camera, look_at
 from ..core.scene.camera_files import load_run_cameras
+from ..core.scene.similarity import moved_points
 from ..irgspp_addon.importer.asset_mark import AssetDetails, details_of, mark_asset, missing_images, set_preview
+from ..irgspp_addon.importer.mesh_origin import mesh_to_run
 from ..irgspp_addon.importer.run_frame import albedo_scale, frame_of, run_object
 from ..irgspp_addon.relight.session import RelightRequest, session_of
 from ..irgspp_addon.translations import translated
@@ -138,7 +140,7 @@ def preview_camera(thing: bpy.types.Object, run: Path) -> Camera:
     """
     vertices = np.empty(3 * len(thing.data.vertices), np.float32)
     thing.data.vertices.foreach_get("co", vertices)
-    points = vertices.reshape(-1, 3).astype(float)
+    points = moved_points(vertices.reshape(-1, 3).astype(float), np.array(mesh_to_run(thing), float))
     if not len(points):
         raise InputError(thing.name, "has no vertices", "import the run again")
     centre = (points.min(0) + points.max(0)) / 2

@@ -2,8 +2,8 @@
 """Write a run's object in formats of other programs, in a separate process with `bpy`: `launch.py ... JOB.json OUT.fbx OUT.usdc`.
 
 JOB.json holds "run" (folder), "name" of the asset, "textures" (folder of albedo, roughness, metallic, normal and orm.png), "pack" (True to
-put them into the file), "lods" (fraction of the triangles in each further level), "hulls" (.npz, or null) and "offset" (3 numbers added to
-the vertices).
+put them into the file), "lods" (fraction of the triangles in each further level), "hulls" (.npz, or null) and "matrix" (4 x 4, that
+the vertices are multiplied by).
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ..world.light_to_world import load_image
 from ..world.shader_nodes import node_tree
 from .asset_parts import add_hulls, add_levels
 from .materials import TEXTURES
-from .scene_builder import textured_mesh
+from .run_mesh import textured_mesh
 
 AXES = {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}  # of OBJ
 
@@ -41,7 +41,7 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     name, textures = job["name"], Path(job["textures"])
-    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["offset"], np.float32))
+    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["matrix"]))
     material = bpy.data.materials.new(name)
     mesh.materials.append(material)
     full = bpy.data.objects.new(name, mesh)
@@ -49,7 +49,7 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     if job["lods"]:
         add_levels(full, job["lods"], name)
     if job["hulls"]:
-        add_hulls(full, Path(job["hulls"]), np.array(job["offset"]))
+        add_hulls(full, Path(job["hulls"]), np.array(job["matrix"]))
     for target in targets:
         write = WRITERS.get(target.suffix.lower())
         if write is None:

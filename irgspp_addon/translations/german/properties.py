@@ -216,6 +216,10 @@ TEXTS: dict[str, str] = {
     "Add versions with a half and a quarter of the triangles, which share the textures": (
         "Fassungen mit der Hälfte und einem Viertel der Dreiecke hinzufügen, die sich die Texturen teilen"
     ),
+    "As in the Scene": "Wie in der Szene",
+    "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed": (
+        "Den Export so drehen und skalieren, wie das Objekt in der Szene gedreht und skaliert ist; aus: so wie rekonstruiert"
+    ),
     "Collision Hulls": "Kollisionshüllen",
     "Add a few convex solids that game engines take as the collision shape (UCX_...)": (
         "Einige konvexe Körper hinzufügen, die Spiele-Engines als Kollisionsform nehmen (UCX_...)"

@@ -136,6 +136,20 @@ def test_glb_stands_on_its_foot_and_has_tangents(run, tmp_path):
     assert ((tangent[:, :3] * -east).sum(-1)[inner] > 0.4).all()
 
 
+def test_glb_turned_and_scaled_in_one(run, tmp_path):
+    turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # the run's y is up
+    export(run, tmp_path / "ball.glb", options=AssetOptions(transform=tuple(3.0 * turn.reshape(-1))))
+    mesh = load_mesh_ply(run / "mesh.ply")
+    _, attributes = read_glb(tmp_path / "ball.glb")
+    expected = 3 * mesh.vertices[:, [0, 1, 2]] + [0, 3, 0]  # glTF's y is up, too
+    np.testing.assert_allclose(attributes["POSITION"], expected, atol=0.01)
+    np.testing.assert_allclose(attributes["NORMAL"], mesh.normals, atol=1e-5)
+    with pytest.raises(InputError, match="mirrors"):
+        export(run, tmp_path / "a.glb", options=AssetOptions(transform=(1, 0, 0, 0, 1, 0, 0, 0, -1)))
+    with pytest.raises(InputError, match="not turned or scaled"):
+        export(run, tmp_path / "a.exr", options=AssetOptions(transform=(2, 0, 0, 0, 2, 0, 0, 0, 2)))
+
+
 def read_glb(path):
     """Return the JSON of a .glb and the float attributes of its first primitive."""
     data = path.read_bytes()

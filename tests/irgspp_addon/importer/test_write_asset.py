@@ -49,7 +49,12 @@ def written(run_folder, hulls, tmp_path_factory):
     folder = tmp_path_factory.mktemp("written") / "here"
     shutil.copytree(run_folder / "textures", folder / "ball_textures")
     save_orm(folder / "ball_textures")
-    job = {"run": str(run_folder), "name": "ball", "textures": str(folder / "ball_textures"), "offset": OFFSET.tolist()}
+    job = {
+        "run": str(run_folder),
+        "name": "ball",
+        "textures": str(folder / "ball_textures"),
+        "matrix": np.array(Matrix.Translation(OFFSET)).tolist(),
+    }
     job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False}
     (folder / "job.json").write_text(json.dumps(job))
     targets = [str(folder / f"ball.{suffix}") for suffix in ("obj", "fbx", "glb", "usdc")]
@@ -170,7 +175,7 @@ def look(thing, run_folder, folder) -> np.ndarray:
 def look_of_the_blend(run_folder, tmp_path_factory):
     bpy.ops.wm.read_homefile(use_empty=True)
     thing = import_run(run_folder).mesh
-    thing.matrix_world = Matrix.Translation(OFFSET) @ thing.matrix_world
+    thing.matrix_world = Matrix()
     return look(thing, run_folder, tmp_path_factory.mktemp("blend"))
 
 
@@ -238,8 +243,29 @@ def test_blend_has_levels_hidden_hulls_and_textures_beside_it(run_folder, hulls,
     assert photographs and all(image.size[0] > 0 for image in photographs)  # their links start at the final place
 
 
+def test_turned_and_stretched(run_folder, tmp_path):
+    """Normals stay upright on a surface that a transform stretches."""
+    shutil.copytree(run_folder / "textures", tmp_path / "ball_textures")
+    matrix = Matrix.Diagonal((2, 1, 1, 1)) @ Matrix.Rotation(np.pi / 2, 4, "X")
+    job = {"run": str(run_folder), "name": "ball", "textures": str(tmp_path / "ball_textures"), "matrix": np.array(matrix).tolist()}
+    writing.write_asset({**job, "lods": [], "hulls": None, "pack": False}, [tmp_path / "ball.obj"])
+    place, normal, _ = corners(reread(tmp_path, "obj")["ball"])
+    np.testing.assert_allclose([place.reshape(-1, 3).min(0), place.reshape(-1, 3).max(0)], [[-2, -1, -1], [2, 1, 1]], atol=0.01)
+    true = place / [4, 1, 1]  # gradient of the ellipsoid
+    true /= np.linalg.norm(true, axis=-1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip((normal * true).sum(-1), -1, 1))).max() < 1
+
+
 def test_missing_texture_and_unknown_format_are_errors(run_folder, tmp_path):
-    job = {"run": str(run_folder), "name": "a", "textures": str(tmp_path), "offset": [0, 0, 0], "lods": [], "hulls": None, "pack": False}
+    job = {
+        "run": str(run_folder),
+        "name": "a",
+        "textures": str(tmp_path),
+        "matrix": np.eye(4).tolist(),
+        "lods": [],
+        "hulls": None,
+        "pack": False,
+    }
     with pytest.raises(InputError, match=r"albedo\.png: is missing"):
         writing.write_asset(job, [tmp_path / "a.obj"])
     with pytest.raises(InputError, match="has no known suffix"):
