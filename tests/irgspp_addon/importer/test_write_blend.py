@@ -14,9 +14,9 @@ from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.camera_files import load_run_cameras
-from irgspp.core.scene.mesh_ply import load_mesh_ply
 from irgspp.irgspp_addon.importer.cameras import look_through
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of
+from irgspp.irgspp_addon.importer.ply import read_ply
 from irgspp.irgspp_addon.importer.run_frame import frame_of, run_object, scene_camera
 from irgspp.irgspp_addon.importer.run_root import run_of
 from mathutils import Matrix
@@ -58,7 +58,8 @@ def test_the_object_stands_on_its_foot_and_photographs_still_fit(blend, run_fold
 
 def assert_photographs_fit(scene, mesh, run_folder):
     """Check that each camera sees the vertices at the pixels of the run's camera."""
-    own = load_mesh_ply(run_folder / "mesh.ply").vertices[::37].astype(float)
+    vertex = read_ply(run_folder / "mesh.ply")["vertex"]
+    own = np.stack([vertex[axis] for axis in "xyz"], -1)[::37].astype(float)
     frame = frame_of(mesh)
     for record in load_run_cameras(run_folder / "cameras.json"):
         placed = scene.objects[f"{record.split} {record.name}"]
