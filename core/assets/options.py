@@ -17,6 +17,7 @@ INSIDE = (".glb", ".usdz")  # whose files hold their textures always
 SIMILAR = (".blend", ".ply")  # whose cameras and splats can't be stretched
 UNTURNED = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
 SLACK = 1e-3  # unequal scale of the axes that counts as equal, relative to the scale
+LEVELS = (0.5, 0.25)  # fraction of the triangles in NAME_LOD1 and NAME_LOD2
 OPENGL_ONLY = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".blend")  # whose normal maps are OpenGL's by definition
 
 

@@ -23,10 +23,8 @@ from ..scene.textures import load_textures
 from .blend_file import write_blend
 from .collision import collision_hulls
 from .mesh_files import save_asset_glb
-from .options import AssetOptions
+from .options import LEVELS, AssetOptions
 from .texture_set import save_texture_set
-
-LEVELS = (0.5, 0.25)  # fraction of the triangles in NAME_LOD1 and NAME_LOD2
 
 
 def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progress) -> None:

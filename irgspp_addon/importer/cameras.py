@@ -34,7 +34,8 @@ def place_cameras(
         Camera objects in the order of `records`.
     """
     cameras = owner.reuse(bpy.data.collections, "cameras", f"{parent.name} cameras")
-    link(cameras, parent)
+    if not cameras.users:  # else it may be anywhere, such as beside the collection of an asset
+        link(cameras, parent)
     rig = _rig(owner, root, cameras)
     distance = float(np.median([np.linalg.norm(record.camera.centre) for record in records])) if records else 1.0
     placed = []
