@@ -136,6 +136,10 @@ ASSET_KIND: Definition = {
     ],
     "default": "COLLECTION",
 }
+OCCLUSION: Definition = {
+    "name": "Occlusion",
+    "description": "Trace how open each place of the surface is, for seconds: red of orm.png, and the occlusion texture of .glb",
+}
 AS_PLACED: Definition = {
     "name": "As in the Scene",
     "description": "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed",

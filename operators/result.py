@@ -109,6 +109,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
     collision: BoolProperty(**shared.COLLISION, options=SKIP)
     textures: EnumProperty(**shared.TEXTURES, options=SKIP)
     normal_map: EnumProperty(**shared.NORMAL_MAP, options=SKIP)
+    occlusion: BoolProperty(**shared.OCCLUSION, options=SKIP)
     as_placed: BoolProperty(**shared.AS_PLACED, options=SKIP)
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     wait: BoolProperty(**WAIT)
@@ -140,6 +141,7 @@ class IRGSPP_OT_export(bpy.types.Operator):
         words += ["--lods"] if self.lods else []
         words += ["--collision"] if self.collision else []
         words += ["--textures", self.textures, "--normal-map", self.normal_map]
+        words += ["--occlusion"] if self.occlusion else []
         words += self._transform(context, run, target.suffix.lower())
         job = jobs.start("export", translated("Export {name}", name=target.name), run, words, data={"file": str(target), "run": str(run)})
         return run_to_end(self, job) if self.wait else {"FINISHED"}

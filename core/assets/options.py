@@ -31,6 +31,7 @@ class AssetOptions:
         textures: "packed" into the file, "beside" it in the folder NAME_textures, or "auto": packed where the format can.
         normal_map: "opengl" or "directx".
         transform: rows of the matrix (3, 3) that turns and scales the object before it is put on its foot.
+        occlusion: True to trace ambient occlusion, into red of orm.png beside the file, or the occlusion texture of a .glb.
     """
 
     lods: bool = False
@@ -38,6 +39,7 @@ class AssetOptions:
     textures: str = "auto"
     normal_map: str = "opengl"
     transform: tuple[float, ...] = UNTURNED
+    occlusion: bool = False
 
     def fitting(self, suffix: str) -> AssetOptions:
         """Return the choices with the defaults in place of those that files with this suffix can't have."""
@@ -45,7 +47,8 @@ class AssetOptions:
             return AssetOptions(transform=self.transform if suffix == ".ply" else UNTURNED)
         unfit = (BESIDE, "packed"), (INSIDE, "beside")
         textures = "auto" if any(suffix in formats and self.textures == choice for formats, choice in unfit) else self.textures
-        return replace(self, textures=textures, normal_map="opengl" if suffix in OPENGL_ONLY else self.normal_map)
+        normal_map = "opengl" if suffix in OPENGL_ONLY else self.normal_map
+        return replace(self, textures=textures, normal_map=normal_map, occlusion=self.occlusion and _holds_occlusion(suffix, textures))
 
     def matrix(self, suffix: str) -> np.ndarray:
         """Return the transform as a matrix (3, 3).
@@ -73,4 +76,11 @@ class AssetOptions:
             raise InputError("--textures", f"{suffix} always holds its textures", "use packed, or a .usdc, .fbx, .obj or .blend")
         if self.normal_map == "directx" and suffix in OPENGL_ONLY:
             raise InputError("--normal-map", f"the normal maps of {suffix} are OpenGL's by definition", "use opengl, or a .fbx or .obj")
+        if self.occlusion and not _holds_occlusion(suffix, self.textures):
+            raise InputError("--occlusion", f"{suffix} has no place for it", "use --textures beside, or a .glb")
         return suffix not in BESIDE and self.textures != "beside"
+
+
+def _holds_occlusion(suffix: str, textures: str) -> bool:
+    """Return True where a file has an occlusion texture, or a folder of textures beside it that can have one."""
+    return suffix == ".glb" or suffix in BESIDE or (suffix not in INSIDE and textures == "beside")

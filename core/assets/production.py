@@ -24,7 +24,7 @@ from .blend_file import write_blend
 from .collision import collision_hulls
 from .mesh_files import save_asset_glb
 from .options import LEVELS, AssetOptions
-from .texture_set import save_texture_set
+from .texture_set import occlusion_of, save_texture_set
 
 
 def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progress) -> None:
@@ -45,12 +45,12 @@ def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progr
     suffix, mesh = target.suffix.lower(), load_mesh_ply(run / "mesh.ply")
     packed, matrix = options.packs(suffix), standing(mesh.vertices, options.matrix(suffix))
     if suffix == ".glb" and not (options.lods or options.collision):
-        save_production_glb(placed_mesh(mesh, matrix), run, target)
+        save_production_glb(placed_mesh(mesh, matrix), run, target, options.occlusion)
         return
     with staged(target) as staging, tempfile.TemporaryDirectory() as scratch:
         textures = Path(scratch) / "textures" if packed else staging / f"{target.stem}_textures"
-        save_texture_set(run, textures, options.normal_map, eight=suffix == ".glb")  # which all viewers of glTF read
-        job = {"textures": str(textures), "matrix": matrix.tolist(), "pack": packed}
+        save_texture_set(run, textures, options.normal_map, eight=suffix == ".glb", occluded=mesh if options.occlusion else None)
+        job = {"textures": str(textures), "matrix": matrix.tolist(), "pack": packed, "occlusion": options.occlusion}
         job |= asset_job(run, target.stem, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
         progress.phase("write", 0)
@@ -83,7 +83,7 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         additions += ["--transform=" + ",".join(f"{value:.9g}" for value in options.matrix(".blend").reshape(-1))]
         if not packed:
             folder = staging / f"{target.stem}_textures"
-            save_texture_set(run, folder)
+            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None)
             additions += ["--textures", str(folder)]
         progress.phase("write", 0)
         write_blend(run, staging / target.name, material, progress, additions, target)
@@ -109,15 +109,19 @@ def asset_job(run: Path, name: str, options: AssetOptions, scratch: Path, progre
     return {"run": str(run.resolve()), "name": name, "lods": list(lods), "hulls": None if hulls is None else str(hulls)}
 
 
-def save_production_glb(mesh: Mesh, run: Path, target: Path) -> None:
+def save_production_glb(mesh: Mesh, run: Path, target: Path, occlusion: bool = False) -> None:
     """Write a mesh with the run's textures as .glb with tangents.
 
     Args:
         mesh: of the run, on its foot at the origin.
         run: folder of the finished run.
         target: file to write.
+        occlusion: True to trace its occlusion.
     """
-    save_asset_glb(dataclasses.replace(mesh, textures=load_textures(run / "textures")), target, target.stem)
+    textures = load_textures(run / "textures")
+    if occlusion:
+        textures["occlusion"] = occlusion_of(mesh, textures)
+    save_asset_glb(dataclasses.replace(mesh, textures=textures), target, target.stem)
 
 
 @contextmanager

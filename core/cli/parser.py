@@ -145,6 +145,8 @@ def _add_export(subparsers: Subparsers) -> None:
     one.add_argument("--textures", choices=("auto", "packed", "beside"), default="auto", help=where)
     green = "direction of green in the normal map of .fbx and .obj (default: opengl; directx is the inverse)"
     one.add_argument("--normal-map", choices=("opengl", "directx"), default="opengl", help=green)
+    occlusion = "trace ambient occlusion (seconds): red of orm.png, occlusion.png, and the occlusion texture of .glb"
+    one.add_argument("--occlusion", action="store_true", help=occlusion)
     one.add_argument("--scale", type=positive_factor, default=1.0, metavar="X", help="factor of all lengths (default: 1)")
     turned = "rows of a 3 x 3 matrix that turns and scales the object before it is put on its foot (default: as reconstructed)"
     one.add_argument("--transform", type=float, nargs=9, default=UNTURNED, metavar="M", help=turned)

@@ -42,7 +42,13 @@ def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: s
         body.vertex_attributes["_TANGENT"] = np.concatenate([_y_up(tangents), tangents[:, 3:]], -1).astype(np.float32)
     scene = trimesh.Scene()
     scene.add_geometry(body, node_name=name, geom_name=name)
-    write_atomic(path, export_glb(scene, include_normals=True, tree_postprocessor=_own_tangents))
+
+    def postprocessor(tree: dict) -> None:
+        _own_tangents(tree)
+        if "occlusion" in mesh.textures:
+            _own_occlusion(tree)
+
+    write_atomic(path, export_glb(scene, include_normals=True, tree_postprocessor=postprocessor))
 
 
 def _own_tangents(tree: dict) -> None:
@@ -51,6 +57,12 @@ def _own_tangents(tree: dict) -> None:
         for primitive in mesh["primitives"]:
             if "_TANGENT" in primitive["attributes"]:
                 primitive["attributes"]["TANGENT"] = primitive["attributes"].pop("_TANGENT")
+
+
+def _own_occlusion(tree: dict) -> None:
+    """Let the materials read occlusion from the red channel of the texture of roughness and metallic."""
+    for material in tree["materials"]:
+        material["occlusionTexture"] = {"index": material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]}
 
 
 def _y_up(vectors: np.ndarray) -> np.ndarray:

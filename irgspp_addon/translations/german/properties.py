@@ -223,6 +223,10 @@ TEXTS: dict[str, str] = {
     "Collection": "Sammlung",
     "Object": "Objekt",
     "The object alone": "Nur das Objekt",
+    "Occlusion": "Verdeckung",
+    "Trace how open each place of the surface is, for seconds: red of orm.png, and the occlusion texture of .glb": (
+        "Sekundenlang verfolgen, wie offen jede Stelle der Oberfläche ist: Rot von orm.png, und die Verdeckungstextur von .glb"
+    ),
     "As in the Scene": "Wie in der Szene",
     "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed": (
         "Den Export so drehen und skalieren, wie das Objekt in der Szene gedreht und skaliert ist; aus: so wie rekonstruiert"

@@ -55,7 +55,7 @@ def written(run_folder, hulls, tmp_path_factory):
         "textures": str(folder / "ball_textures"),
         "matrix": np.array(Matrix.Translation(OFFSET)).tolist(),
     }
-    job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False}
+    job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False, "occlusion": True}
     (folder / "job.json").write_text(json.dumps(job))
     targets = [str(folder / f"ball.{suffix}") for suffix in ("obj", "fbx", "glb", "usdc")]
     assert writing.main([str(folder / "job.json"), *targets]) == 0
@@ -107,6 +107,13 @@ def of_run(run_folder):
     vertex, faces = elements["vertex"], elements["face"]["vertex_indices"].reshape(-1)
     columns = [np.stack([vertex[name] for name in names], -1)[faces] for names in (("x", "y", "z"), ("nx", "ny", "nz"), ("s", "t"))]
     return ordered(columns[0] + OFFSET, *columns[1:])
+
+
+def test_glb_of_blender_reads_occlusion_from_red(written):
+    data = (written / "ball.glb").read_bytes()
+    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    material = next(one for one in tree["materials"] if one["name"] == "ball")
+    assert material["occlusionTexture"]["index"] == material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]
 
 
 def test_khronos_validator_finds_nothing(written):
@@ -248,7 +255,7 @@ def test_turned_and_stretched(run_folder, tmp_path):
     shutil.copytree(run_folder / "textures", tmp_path / "ball_textures")
     matrix = Matrix.Diagonal((2, 1, 1, 1)) @ Matrix.Rotation(np.pi / 2, 4, "X")
     job = {"run": str(run_folder), "name": "ball", "textures": str(tmp_path / "ball_textures"), "matrix": np.array(matrix).tolist()}
-    writing.write_asset({**job, "lods": [], "hulls": None, "pack": False}, [tmp_path / "ball.obj"])
+    writing.write_asset({**job, "lods": [], "hulls": None, "pack": False, "occlusion": False}, [tmp_path / "ball.obj"])
     place, normal, _ = corners(reread(tmp_path, "obj")["ball"])
     np.testing.assert_allclose([place.reshape(-1, 3).min(0), place.reshape(-1, 3).max(0)], [[-2, -1, -1], [2, 1, 1]], atol=0.01)
     true = place / [4, 1, 1]  # gradient of the ellipsoid
@@ -265,6 +272,7 @@ def test_missing_texture_and_unknown_format_are_errors(run_folder, tmp_path):
         "lods": [],
         "hulls": None,
         "pack": False,
+        "occlusion": False,
     }
     with pytest.raises(InputError, match=r"albedo\.png: is missing"):
         writing.write_asset(job, [tmp_path / "a.obj"])
