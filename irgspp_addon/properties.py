@@ -139,6 +139,8 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     export_lods: BoolProperty(**shared.LODS)
     export_collision: BoolProperty(**shared.COLLISION)
     export_textures: EnumProperty(**shared.TEXTURES, default="auto")
+    export_occlusion: BoolProperty(**shared.OCCLUSION)
+    export_as_placed: BoolProperty(**shared.AS_PLACED)
     export_normal_map: EnumProperty(**shared.NORMAL_MAP, default="opengl")
 
     # Relight

@@ -127,6 +127,24 @@ COLLISION: Definition = {
     "name": "Collision Hulls",
     "description": "Add a few convex solids that game engines take as the collision shape (UCX_...)",
 }
+ASSET_KIND: Definition = {
+    "name": "Asset",
+    "description": "Datablock that becomes the asset",
+    "items": [
+        ("COLLECTION", "Collection", "The object with levels of detail and collision hulls; placed as an instance or appended", 0),
+        ("OBJECT", "Object", "The object alone", 1),
+    ],
+    "default": "COLLECTION",
+}
+OCCLUSION: Definition = {
+    "name": "Occlusion",
+    "description": "Trace how open each place of the surface is, for seconds: red of orm.png, and the occlusion texture of .glb",
+}
+AS_PLACED: Definition = {
+    "name": "As in the Scene",
+    "description": "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed",
+    "default": True,
+}
 TEXTURES: Definition = {"name": "Textures", "description": "Place of the textures", "items": TEXTURE_PLACES}
 NORMAL_MAP: Definition = {
     "name": "Normal Map",

@@ -9,12 +9,14 @@ import bpy
 from bpy.props import BoolProperty, EnumProperty, IntProperty, StringProperty
 from mathutils import Matrix
 
-from ..core.assets.options import SUFFIXES
+from ..core.assets.options import SUFFIXES, UNTURNED, AssetOptions
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon import shared_properties as shared
 from ..irgspp_addon.importer.edited_mesh import save_edited
 from ..irgspp_addon.importer.materials import source_of
+from ..irgspp_addon.importer.mesh_origin import mesh_to_run
 from ..irgspp_addon.importer.ownership import Owner
+from ..irgspp_addon.importer.run_frame import run_object, transform_of
 from ..irgspp_addon.importer.run_root import run_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
@@ -86,7 +88,8 @@ def import_bake(job: Job) -> None:
         own, edited = Owner(job.folder).find(bpy.data.objects, "mesh"), scene.objects.get(job.data["mesh"])
         if own is not None and own == edited:
             own.modifiers.clear()
-            own.matrix_parent_inverse = own.matrix_basis = Matrix()
+            own.matrix_parent_inverse = Matrix()
+            own.matrix_basis = mesh_to_run(own)
         result_import.import_result(job)
         if edited is not None and edited != own and edited.data.uv_layers and not edited.data.materials:
             edited.data.materials.append(Owner(job.folder).find(bpy.data.materials, "material"))
@@ -106,6 +109,8 @@ class IRGSPP_OT_export(bpy.types.Operator):
     collision: BoolProperty(**shared.COLLISION, options=SKIP)
     textures: EnumProperty(**shared.TEXTURES, options=SKIP)
     normal_map: EnumProperty(**shared.NORMAL_MAP, options=SKIP)
+    occlusion: BoolProperty(**shared.OCCLUSION, options=SKIP)
+    as_placed: BoolProperty(**shared.AS_PLACED, options=SKIP)
     check_existing: BoolProperty(default=True, options={"HIDDEN"})
     wait: BoolProperty(**WAIT)
 
@@ -136,8 +141,20 @@ class IRGSPP_OT_export(bpy.types.Operator):
         words += ["--lods"] if self.lods else []
         words += ["--collision"] if self.collision else []
         words += ["--textures", self.textures, "--normal-map", self.normal_map]
+        words += ["--occlusion"] if self.occlusion else []
+        words += self._transform(context, run, target.suffix.lower())
         job = jobs.start("export", translated("Export {name}", name=target.name), run, words, data={"file": str(target), "run": str(run)})
         return run_to_end(self, job) if self.wait else {"FINISHED"}
+
+    def _transform(self, context: bpy.types.Context, run: Path, suffix: str) -> list[str]:
+        """Return the words that turn and scale the export as the object in the scene; none where it is not turned."""
+        thing = run_object(context.scene, run)
+        if not self.as_placed or thing is None or suffix == ".exr":
+            return []
+        context.view_layer.update()
+        transform = transform_of(thing)
+        AssetOptions(transform=transform).matrix(suffix)
+        return ["--transform", *(f"{value:.9g}" for value in transform)] if transform != UNTURNED else []
 
 
 def named_run(context: bpy.types.Context, path: str) -> Path:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..irgspp_addon.importer.asset_collection import marked_asset
 from .shown_run import object_of_run, shown_run
 from .sidebar import SidebarPanel, button, say
 from .steps import FinishedRunPanel
@@ -24,11 +25,14 @@ class IRGSPP_PT_asset(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         if thing is None or run is None:
             say(self.layout, context, "The object is not in this scene.", icon="INFO")
             return
-        asset = thing.asset_data
-        if asset is not None:
-            parts = [thing.name, asset.author, asset.license, ", ".join(tag.name for tag in asset.tags)]
+        settings, block = context.scene.irgspp, marked_asset(thing)
+        asset = block.asset_data if block is not None else None
+        if block is not None and asset is not None:
+            parts = [block.name, asset.author, asset.license, ", ".join(tag.name for tag in asset.tags)]
             say(self.layout, context, " | ".join(part for part in parts if part), icon="ASSET_MANAGER")
-        button(self.layout, "irgspp.mark_asset", "Change Asset" if asset is not None else "Mark as Asset", "ASSET_MANAGER", run=str(run))
+        text = "Change Asset" if asset is not None else "Mark as Asset"
+        parts = {"lods": settings.export_lods, "collision": settings.export_collision}
+        button(self.layout, "irgspp.mark_asset", text, "ASSET_MANAGER", run=str(run), **parts)
 
 
 CLASSES = (IRGSPP_PT_asset,)

@@ -42,13 +42,16 @@ class IRGSPP_PT_export(StepPanel, SidebarPanel, bpy.types.Panel):
             return
         run, settings = shown_run(context), context.scene.irgspp
         column = settings_column(self.layout.column())
-        for name in ("export_lods", "export_collision", "export_textures", "export_normal_map"):
+        for name in ("export_lods", "export_collision", "export_textures", "export_normal_map", "export_occlusion", "export_as_placed"):
             column.prop(settings, name)
-        chosen = AssetOptions(settings.export_lods, settings.export_collision, settings.export_textures, settings.export_normal_map)
+        parts = settings.export_lods, settings.export_collision
+        chosen = AssetOptions(*parts, settings.export_textures, settings.export_normal_map, occlusion=settings.export_occlusion)
         column = self.layout.column(align=True)
         for text, icon, suffix in FILES:
+            words = asdict(chosen.fitting(suffix)) | {"as_placed": settings.export_as_placed}
+            del words["transform"]  # which the operator finds in the scene
             file = str(run / f"{run.name}{suffix}") if run else ""
-            button(column, "irgspp.export", text, icon, run=str(run), filepath=file, **asdict(chosen.fitting(suffix)))
+            button(column, "irgspp.export", text, icon, run=str(run), filepath=file, **words)
         draw_last(self.layout, context, "export", run)
         draw_exported(self.layout, run)
 

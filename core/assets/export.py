@@ -6,11 +6,15 @@ from __future__ import annotations
 import shutil
 from pathlib import Path
 
+import numpy as np
+
 from ..errors import InputError
 from ..io.atomic import atomic_file
 from ..progress.protocol import Progress, Silent
 from .blend_file import write_blend
-from .options import ASSETS, PARTS, SUFFIXES, AssetOptions
+from .options import ASSETS, PARTS, SUFFIXES, UNTURNED, AssetOptions
+
+LACKING = {".ply": "levels of detail, hulls or textures", ".exr": "levels of detail, hulls or textures, and is not turned or scaled"}
 
 
 def export(
@@ -39,12 +43,13 @@ def export(
         raise InputError(run, "is not a run folder", "give a folder that `irgspp reconstruct` wrote")
     if not target.resolve().parent.is_dir():
         raise InputError(target.parent, "no such folder", "create it first")
-    if suffix in PARTS and options != AssetOptions():
-        raise InputError(target, f"{suffix} has no levels of detail, hulls or textures", f"use {', '.join((*ASSETS, '.blend'))}")
+    if suffix in PARTS and options != AssetOptions(transform=options.transform if suffix == ".ply" else UNTURNED):
+        raise InputError(target, f"{suffix} has no {LACKING[suffix]}", f"use {', '.join((*ASSETS, '.blend'))}")
+    matrix = options.matrix(suffix)
     if suffix == ".exr":
         _copy(run / "environment.exr", target)
     elif suffix == ".ply":
-        _export_splats(run, target, progress)
+        _export_splats(run, target, matrix, progress)
     elif suffix == ".blend" and options == AssetOptions():
         write_blend(run, target, material, progress)
     else:
@@ -60,10 +65,10 @@ def _export_object(run: Path, target: Path, material: str, options: AssetOptions
         export_asset(run, target, options, progress)
 
 
-def _export_splats(run: Path, target: Path, progress: Progress) -> None:
+def _export_splats(run: Path, target: Path, transform: np.ndarray, progress: Progress) -> None:
     from .splats import write_splats  # needs torch and scipy; the extension writes .blend files without
 
-    write_splats(run, target, progress)
+    write_splats(run, target, progress, transform)
 
 
 def _copy(source: Path, target: Path) -> None:

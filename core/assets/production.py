@@ -17,20 +17,18 @@ import numpy as np
 from ..errors import InputError
 from ..machine.blender_process import check_written, run_in_blender
 from ..progress.protocol import Progress
-from ..scene.mesh import Mesh
+from ..scene.mesh import Mesh, placed_mesh, standing
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.textures import load_textures
 from .blend_file import write_blend
 from .collision import collision_hulls
 from .mesh_files import save_asset_glb
-from .options import AssetOptions
-from .texture_set import save_texture_set
-
-LEVELS = (0.5, 0.25)  # fraction of the triangles in NAME_LOD1 and NAME_LOD2
+from .options import LEVELS, AssetOptions
+from .texture_set import occlusion_of, save_texture_set
 
 
 def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progress) -> None:
-    """Write the object as .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx: upright, in the scale of the .blend, its foot at the origin.
+    """Write the object as .glb, .usd, .usdc, .usda, .usdz, .obj or .fbx: turned and scaled as `options` say, its foot at the origin.
 
     Args:
         run: folder of the finished run.
@@ -44,15 +42,16 @@ def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progr
         NoBlender: when Blender is needed and not found.
         IrgsppError: when Blender fails.
     """
-    packed, mesh = options.packs(target.suffix.lower()), load_mesh_ply(run / "mesh.ply")
-    if target.suffix.lower() == ".glb" and not (options.lods or options.collision):
-        save_production_glb(mesh, run, target)
+    suffix, mesh = target.suffix.lower(), load_mesh_ply(run / "mesh.ply")
+    packed, matrix = options.packs(suffix), standing(mesh.vertices, options.matrix(suffix))
+    if suffix == ".glb" and not (options.lods or options.collision):
+        save_production_glb(placed_mesh(mesh, matrix), run, target, options.occlusion)
         return
     with staged(target) as staging, tempfile.TemporaryDirectory() as scratch:
         textures = Path(scratch) / "textures" if packed else staging / f"{target.stem}_textures"
-        save_texture_set(run, textures, options.normal_map, eight=target.suffix.lower() == ".glb")  # which all viewers of glTF read
-        job = {"textures": str(textures), "offset": (-foot(mesh)).tolist(), **asset_job(run, target.stem, options, Path(scratch), progress)}
-        job["pack"] = packed
+        save_texture_set(run, textures, options.normal_map, eight=suffix == ".glb", occluded=mesh if options.occlusion else None)
+        job = {"textures": str(textures), "matrix": matrix.tolist(), "pack": packed, "occlusion": options.occlusion}
+        job |= asset_job(run, target.stem, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
         progress.phase("write", 0)
         words = [str(Path(scratch) / "job.json"), str(staging / target.name)]
@@ -81,9 +80,10 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         job = asset_job(run, run.resolve().name, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
         additions = ["--parts", str(Path(scratch) / "job.json")]
+        additions += ["--transform=" + ",".join(f"{value:.9g}" for value in options.matrix(".blend").reshape(-1))]
         if not packed:
             folder = staging / f"{target.stem}_textures"
-            save_texture_set(run, folder)
+            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None)
             additions += ["--textures", str(folder)]
         progress.phase("write", 0)
         write_blend(run, staging / target.name, material, progress, additions, target)
@@ -109,23 +109,19 @@ def asset_job(run: Path, name: str, options: AssetOptions, scratch: Path, progre
     return {"run": str(run.resolve()), "name": name, "lods": list(lods), "hulls": None if hulls is None else str(hulls)}
 
 
-def save_production_glb(mesh: Mesh, run: Path, target: Path) -> None:
-    """Write the run's mesh and textures as .glb with tangents, its foot at the origin.
+def save_production_glb(mesh: Mesh, run: Path, target: Path, occlusion: bool = False) -> None:
+    """Write a mesh with the run's textures as .glb with tangents.
 
     Args:
-        mesh: of the run.
+        mesh: of the run, on its foot at the origin.
         run: folder of the finished run.
         target: file to write.
+        occlusion: True to trace its occlusion.
     """
     textures = load_textures(run / "textures")
-    placed = dataclasses.replace(mesh, vertices=(mesh.vertices - foot(mesh)).astype(np.float32), textures=textures)
-    save_asset_glb(placed, target, target.stem)
-
-
-def foot(mesh: Mesh) -> np.ndarray:
-    """Return the middle of the lower side of the bounding box, (3,)."""
-    low, high = mesh.vertices.min(0).astype(np.float64), mesh.vertices.max(0).astype(np.float64)
-    return np.array([*(low + high)[:2] / 2, low[2]])
+    if occlusion:
+        textures["occlusion"] = occlusion_of(mesh, textures)
+    save_asset_glb(dataclasses.replace(mesh, textures=textures), target, target.stem)
 
 
 @contextmanager

@@ -13,6 +13,7 @@ import numpy as np
 import torch
 from plyfile import PlyData, PlyElement
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 
 from ..errors import Cancelled
 from ..io.atomic import atomic_file
@@ -31,23 +32,25 @@ BACK_WEIGHT = 0.02  # of directions from behind the surface, where no photograph
 THICKNESS = 0.01  # third scale of a splat as a fraction of its smaller one: flat, but a volume for viewers that invert it
 CHUNK = 4096  # surfels that are fitted at a time
 Y_DOWN = torch.tensor([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]])  # from the world (+Z up) to the file (-Y up)
-Y_DOWN_QUATERNION = (0.5**0.5, 0.5**0.5, 0.0, 0.0)  # the same rotation, w x y z
 
 
-def write_splats(run: Path, target: Path, progress: Progress) -> None:
+def write_splats(run: Path, target: Path, progress: Progress, transform: np.ndarray | None = None) -> None:
     """Write the surfels of a finished run as splats, atomically.
 
     Args:
         run: folder of the finished run; its mesh tells on which side of a surfel the object's outside is.
         target: PLY to write.
         progress: asked whether to stop.
+        transform: similarity (3, 3) that turns and scales the object about the run's origin; None leaves it.
 
     Raises:
         Cancelled: the user stopped the work; nothing is written.
         InputError: if a file of the run is missing or broken.
     """
     reconstruction, mesh = Reconstruction.load(run), load_mesh_ply(run / "mesh.ply")
-    g = reconstruction.gaussians
+    g, to_file = reconstruction.gaussians, Y_DOWN.double()
+    if transform is not None:
+        to_file = to_file @ torch.from_numpy(np.asarray(transform, np.float64))
     nearest = KDTree(mesh.vertices).query(g.position.T.numpy())[1]
     outward = torch.from_numpy(np.ascontiguousarray(mesh.normals[nearest].T, np.float32))
     sh = torch.empty_like(g.sh)
@@ -55,18 +58,19 @@ def write_splats(run: Path, target: Path, progress: Progress) -> None:
         if progress.cancelled:
             raise Cancelled("stopped during the export")
         part = slice(begin, min(begin + CHUNK, g.count))
-        sh[..., part] = fitted_sh(reconstruction, outward[:, part], part)
+        sh[..., part] = fitted_sh(reconstruction, outward[:, part], part, to_file)
     with atomic_file(target) as partial:
-        _splat_table(g, sh).write(str(partial))
+        _splat_table(g, sh, to_file).write(str(partial))
 
 
-def fitted_sh(reconstruction: Reconstruction, outward: torch.Tensor, part: slice) -> torch.Tensor:
+def fitted_sh(reconstruction: Reconstruction, outward: torch.Tensor, part: slice, to_file: torch.Tensor) -> torch.Tensor:
     """Fit SH in the file's frame to the sRGB-encoded radiance of some surfels, reflections included, by weighted least squares.
 
     Args:
         reconstruction: surfels and light.
         outward: (3, M) unit normals of the object's surface at the surfels.
         part: the M surfels.
+        to_file: (3, 3) similarity from the world to the file's frame.
 
     Returns:
         (16, 3, M) coefficients of encoded radiance - 0.5 in the direction from the eye.
@@ -74,7 +78,7 @@ def fitted_sh(reconstruction: Reconstruction, outward: torch.Tensor, part: slice
     direction = _directions()
     colour = encode_srgb(_radiance(reconstruction, direction, part))
     weight = torch.where(outward.T @ direction < 0, 1.0, BACK_WEIGHT)
-    basis = sh_basis(Y_DOWN @ direction, 3)
+    basis = sh_basis(_rotation(to_file) @ direction, 3)
     pairs = (basis[:, None] * basis[None]).flatten(0, 1)  # products of two functions at each direction
     normal_matrix = (weight @ pairs.T).view(-1, SH_COEFFICIENTS, SH_COEFFICIENTS)
     right = torch.einsum("mk,nk,cmk->mnc", weight, basis, colour - 0.5)
@@ -102,12 +106,13 @@ def _radiance(reconstruction: Reconstruction, direction: torch.Tensor, part: sli
         return radiance(image, rays.contiguous(), None if mirrored is None else mirrored.environment)
 
 
-def _splat_table(g: Gaussians, sh: torch.Tensor) -> PlyData:
-    """Return the splats of surfels with SH (16, 3, N) in the file's frame."""
-    position, normal = Y_DOWN @ g.position, Y_DOWN @ g.normals()
-    thin = g.log_scale.min(0).values + float(np.log(THICKNESS))
+def _splat_table(g: Gaussians, sh: torch.Tensor, to_file: torch.Tensor) -> PlyData:
+    """Return the splats of surfels with SH (16, 3, N) in the file's frame, to which the similarity (3, 3) leads."""
+    position, normal = to_file.float() @ g.position, _rotation(to_file) @ g.normals()
+    log_scale = g.log_scale + float(_scale(to_file).log())
+    thin = log_scale.min(0).values + float(np.log(THICKNESS))
     rest = sh[1:].permute(1, 0, 2).reshape(-1, g.count)  # channel by channel, as 3DGS writes them
-    rows = torch.cat([position, normal, sh[0], rest, g.opacity[None], g.log_scale, thin[None], _turned(g.quaternion)])
+    rows = torch.cat([position, normal, sh[0], rest, g.opacity[None], log_scale, thin[None], _turned(g.quaternion, _rotation(to_file))])
     names = ["x", "y", "z", "nx", "ny", "nz", *(f"f_dc_{i}" for i in range(3)), *(f"f_rest_{i}" for i in range(len(rest)))]
     names += ["opacity", "scale_0", "scale_1", "scale_2", "rot_0", "rot_1", "rot_2", "rot_3"]
     table = np.empty(g.count, [(name, "f4") for name in names])
@@ -116,8 +121,18 @@ def _splat_table(g: Gaussians, sh: torch.Tensor) -> PlyData:
     return PlyData([PlyElement.describe(table, "vertex")], comments=["IRGS++ splats; sRGB colours; -Y up"])
 
 
-def _turned(quaternion: torch.Tensor) -> torch.Tensor:
-    """Return unit quaternions (4, N) of rotations (4, N) followed by that to the file's frame."""
-    w, x, y, z = unit_vectors(quaternion)
-    a, b, _, _ = Y_DOWN_QUATERNION
-    return torch.stack([a * w - b * x, a * x + b * w, a * y - b * z, a * z + b * y])
+def _scale(to_file: torch.Tensor) -> torch.Tensor:
+    """Return the factor by which a similarity (3, 3) scales lengths."""
+    return torch.linalg.det(to_file).pow(1 / 3)
+
+
+def _rotation(to_file: torch.Tensor) -> torch.Tensor:
+    """Return the rotation (3, 3) float32 of a similarity (3, 3)."""
+    return (to_file / _scale(to_file)).float()
+
+
+def _turned(quaternion: torch.Tensor, rotation: torch.Tensor) -> torch.Tensor:
+    """Return unit quaternions w x y z (4, N) of rotations (4, N) followed by another one (3, 3)."""
+    x, y, z, w = Rotation.from_matrix(rotation.numpy()).as_quat()
+    left = torch.tensor([[w, -x, -y, -z], [x, w, -z, y], [y, z, w, -x], [z, -y, x, w]], dtype=torch.float32)
+    return left @ unit_vectors(quaternion)

@@ -225,7 +225,8 @@ def export(args: argparse.Namespace, terminal: Terminal) -> int:
         from ..assets.options import AssetOptions
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
-    options = AssetOptions(args.lods, args.collision, args.textures, args.normal_map)
+    transform = tuple(args.scale * value for value in args.transform)
+    options = AssetOptions(args.lods, args.collision, args.textures, args.normal_map, transform, args.occlusion)
     export(args.run, args.out, args.material or settings.export.material, terminal, options)
     terminal.end_line()
     print(args.out)

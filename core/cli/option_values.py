@@ -29,6 +29,14 @@ def positive(text: str) -> int:
     return int(text)
 
 
+def positive_factor(text: str) -> float:
+    """Parse a finite number above 0."""
+    value = float(text)
+    if not 0 < value < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text} must be above 0")
+    return value
+
+
 def texels(text: str) -> int:
     """Parse a texture size such as 2k or 2048 to texels along a side."""
     match = re.fullmatch(r"(\d+)(k?)", text.lower())

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from ..assets.options import UNTURNED
 from ..errors import InputError
 from ..evaluation.protocols import PROTOCOLS
 from ..settings.overrides import with_overrides
@@ -17,7 +18,7 @@ from ..settings.schema import PRESETS, preset
 from . import commands
 from . import render as render_command
 from . import serve as serve_command
-from .option_values import count, decimal_words, length, positive, seconds, texels
+from .option_values import count, decimal_words, length, positive, positive_factor, seconds, texels
 from .renderer_options import add_renderer_options
 
 Subparsers = Any  # what argparse returns has no public type
@@ -139,11 +140,16 @@ def _add_export(subparsers: Subparsers) -> None:
     one.add_argument("-o", dest="out", metavar="FILE", type=Path, required=True, help=EXPORTED)
     one.add_argument("--material", choices=("textures", "attributes"), help="source of the material's values in a .blend")
     one.add_argument("--lods", action="store_true", help="add levels of detail NAME_LOD1 and NAME_LOD2 that share the textures")
-    one.add_argument("--collision", action="store_true", help="add convex hulls UCX_NAME_00 and so on for game engines")
+    one.add_argument("--collision", action="store_true", help="add convex hulls UCX_NAME_00 or UCX_NAME_LOD0_00 and so on for game engines")
     where = "textures inside the file, or beside it in NAME_textures (default: inside where the format can)"
     one.add_argument("--textures", choices=("auto", "packed", "beside"), default="auto", help=where)
     green = "direction of green in the normal map of .fbx and .obj (default: opengl; directx is the inverse)"
     one.add_argument("--normal-map", choices=("opengl", "directx"), default="opengl", help=green)
+    occlusion = "trace ambient occlusion (seconds): red of orm.png, occlusion.png, and the occlusion texture of .glb"
+    one.add_argument("--occlusion", action="store_true", help=occlusion)
+    one.add_argument("--scale", type=positive_factor, default=1.0, metavar="X", help="factor of all lengths (default: 1)")
+    turned = "rows of a 3 x 3 matrix that turns and scales the object before it is put on its foot (default: as reconstructed)"
+    one.add_argument("--transform", type=float, nargs=9, default=UNTURNED, metavar="M", help=turned)
 
 
 def _add_bake(subparsers: Subparsers) -> None:

@@ -27,13 +27,13 @@ def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: s
         mesh: the mesh.
         path: the .glb to write.
         tangents: (V, 4) that the normal texture refers to, as `surface.bake.tangents` returns them; viewers compute them where None.
-        name: of the object.
+        name: of the object and its material.
     """
     body = trimesh.Trimesh(_y_up(mesh.vertices), mesh.faces, vertex_normals=_y_up(mesh.normals), process=False, validate=False)
     if mesh.textures:
-        body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures))
+        body.visual = TextureVisuals(uv=mesh.uvs.astype(np.float64), material=_textured(mesh.textures, name))
     else:
-        _colour_vertices(body, mesh)
+        _colour_vertices(body, mesh, name)
     # A single attribute: Blender's importers before March 2026 mix up several and then fail at random (glTF-Blender-IO issue 2658).
     known = [values for values in (mesh.confidence, mesh.material_confidence) if values is not None]
     if known:  # glTF's own attributes have no underscore
@@ -42,7 +42,13 @@ def save_glb(mesh: Mesh, path: Path, tangents: np.ndarray | None = None, name: s
         body.vertex_attributes["_TANGENT"] = np.concatenate([_y_up(tangents), tangents[:, 3:]], -1).astype(np.float32)
     scene = trimesh.Scene()
     scene.add_geometry(body, node_name=name, geom_name=name)
-    write_atomic(path, export_glb(scene, include_normals=True, tree_postprocessor=_own_tangents))
+
+    def postprocessor(tree: dict) -> None:
+        _own_tangents(tree)
+        if "occlusion" in mesh.textures:
+            _own_occlusion(tree)
+
+    write_atomic(path, export_glb(scene, include_normals=True, tree_postprocessor=postprocessor))
 
 
 def _own_tangents(tree: dict) -> None:
@@ -53,16 +59,22 @@ def _own_tangents(tree: dict) -> None:
                 primitive["attributes"]["TANGENT"] = primitive["attributes"].pop("_TANGENT")
 
 
+def _own_occlusion(tree: dict) -> None:
+    """Let the materials read occlusion from the red channel of the texture of roughness and metallic."""
+    for material in tree["materials"]:
+        material["occlusionTexture"] = {"index": material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]}
+
+
 def _y_up(vectors: np.ndarray) -> np.ndarray:
     """Convert world vectors (V, 3) to glTF's axes: x, z, -y."""
     return np.stack([vectors[:, 0], vectors[:, 2], -vectors[:, 1]], -1)
 
 
-def _textured(textures: dict[str, np.ndarray]) -> PBRMaterial:
-    textures = {name: in_eight_bits(texture) for name, texture in textures.items()}  # which all viewers of glTF read
+def _textured(textures: dict[str, np.ndarray], name: str) -> PBRMaterial:
+    textures = {kind: in_eight_bits(texture) for kind, texture in textures.items()}  # which all viewers of glTF read
     packed = Image.fromarray(occlusion_roughness_metallic(textures))
     return PBRMaterial(
-        name="material",
+        name=name,
         baseColorTexture=Image.fromarray(textures["albedo"]),
         metallicRoughnessTexture=packed,
         normalTexture=Image.fromarray(textures["normal"]),
@@ -71,11 +83,11 @@ def _textured(textures: dict[str, np.ndarray]) -> PBRMaterial:
     )
 
 
-def _colour_vertices(body: trimesh.Trimesh, mesh: Mesh) -> None:
+def _colour_vertices(body: trimesh.Trimesh, mesh: Mesh, name: str) -> None:
     """Set the vertex colours, linear in glTF; roughness and metallic can only be one value each, their mean."""
     body.visual = TextureVisuals(
         uv=mesh.uvs.astype(np.float64),
-        material=PBRMaterial(name="material", metallicFactor=float(mesh.metallic.mean()), roughnessFactor=float(mesh.roughness.mean())),
+        material=PBRMaterial(name=name, metallicFactor=float(mesh.metallic.mean()), roughnessFactor=float(mesh.roughness.mean())),
     )
     rgba = np.concatenate([mesh.albedo, np.ones((len(mesh.albedo), 1), np.float32)], -1)
     body.visual.vertex_attributes["color"] = eight_bits(rgba)

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -40,6 +40,28 @@ class Mesh:
     confidence: np.ndarray | None = None
     material_confidence: np.ndarray | None = None
     quads: np.ndarray | None = None
+
+
+def foot(vertices: np.ndarray) -> np.ndarray:
+    """Return the middle of the lower side of the bounding box of vertices (V, 3), (3,): where the object stands."""
+    low, high = vertices.min(0).astype(np.float64), vertices.max(0).astype(np.float64)
+    return np.array([*(low + high)[:2] / 2, low[2]])
+
+
+def standing(vertices: np.ndarray, transform: np.ndarray) -> np.ndarray:
+    """Return the matrix (4, 4) of a linear transform (3, 3) followed by the move of the foot of vertices (V, 3) to the origin."""
+    matrix = np.eye(4)
+    matrix[:3, :3] = transform
+    matrix[:3, 3] = -foot(vertices.astype(np.float64) @ transform.T)
+    return matrix
+
+
+def placed_mesh(mesh: Mesh, matrix: np.ndarray) -> Mesh:
+    """Return a mesh after an affine map (4, 4) that does not mirror."""
+    normals = mesh.normals @ np.linalg.inv(matrix[:3, :3])
+    normals /= np.maximum(np.linalg.norm(normals, axis=-1, keepdims=True), 1e-12)
+    vertices = mesh.vertices @ matrix[:3, :3].T + matrix[:3, 3]
+    return replace(mesh, vertices=vertices.astype(np.float32), normals=normals.astype(np.float32))
 
 
 def joined_quads(faces: np.ndarray, quads: np.ndarray | None) -> np.ndarray | None:

@@ -84,6 +84,7 @@ def _sixteen_bits(image: Image.Image, path: Path, channels: int) -> np.ndarray:
 
 
 def occlusion_roughness_metallic(textures: dict[str, np.ndarray]) -> np.ndarray:
-    """Pack roughness and metallic (T, T) for glTF into (T, T, 3) of the same type: R occlusion (none), G roughness, B metallic."""
+    """Pack roughness and metallic (T, T) for glTF into (T, T, 3) of the same type: R "occlusion" (none if not there), G, B metallic."""
     roughness, metallic = textures["roughness"], textures["metallic"]
-    return np.stack([np.full_like(roughness, np.iinfo(roughness.dtype).max), roughness, metallic], -1)
+    occlusion = textures.get("occlusion", np.full_like(roughness, np.iinfo(roughness.dtype).max))
+    return np.stack([occlusion, roughness, metallic], -1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Marking of an imported object as an asset of Blender's Asset Browser: details, catalogue and preview image."""
+"""Marking of an imported object or its collection as an asset of Blender's Asset Browser: details, catalogue and preview image."""
 
 from __future__ import annotations
 
@@ -39,18 +39,17 @@ class AssetDetails:
     catalogue: str = ""
 
 
-def mark_asset(thing: bpy.types.Object, details: AssetDetails) -> None:
-    """Mark an object as asset, or change the details of one.
+def mark_asset(thing: bpy.types.Object | bpy.types.Collection, details: AssetDetails) -> None:
+    """Mark an object or collection as asset, or change the details of one.
 
     Args:
-        thing: local object.
+        thing: local datablock.
         details: of the asset.
 
     Raises:
         InputError: if the object is linked from a library, or the catalogue can't be written.
     """
-    if thing.library is not None or thing.override_library is not None:
-        raise InputError(thing.name, "is linked from another file", "mark it as asset there")
+    check_local(thing)
     catalogue = catalogue_of(details.catalogue) if details.catalogue else None
     if thing.asset_data is None:
         thing.asset_mark()
@@ -65,8 +64,14 @@ def mark_asset(thing: bpy.types.Object, details: AssetDetails) -> None:
         asset.catalog_id = catalogue
 
 
-def details_of(thing: bpy.types.Object) -> AssetDetails | None:
-    """Return the details of an object that is an asset; None for others.
+def check_local(block: bpy.types.ID) -> None:
+    """Raise InputError if a datablock is linked from a library."""
+    if block.library is not None or block.override_library is not None:
+        raise InputError(block.name, "is linked from another file", "mark it as asset there")
+
+
+def details_of(thing: bpy.types.Object | bpy.types.Collection) -> AssetDetails | None:
+    """Return the details of a datablock that is an asset; None for others.
 
     Raises:
         InputError: if the library's file of catalogues can't be read.

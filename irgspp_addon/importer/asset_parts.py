@@ -11,8 +11,10 @@ import numpy as np
 from mathutils import Vector
 from mathutils.kdtree import KDTree
 
+from ...core.scene.similarity import moved_points
+
 NEAREST = 6  # vertices of the full mesh among which a decimated vertex looks for the normal of its own side
-MOST_HULLS = 100  # `UCX_NAME_00` has two digits
+MOST_HULLS = 100  # the number in a hull's name has two digits
 
 
 def add_levels(full: bpy.types.Object, ratios: Sequence[float], name: str) -> list[bpy.types.Object]:
@@ -82,20 +84,21 @@ def _vertex_normals(mesh: bpy.types.Mesh) -> np.ndarray:
     return normals
 
 
-def add_hulls(full: bpy.types.Object, file: Path, name: str, offset: np.ndarray) -> list[bpy.types.Object]:
-    """Add the convex hulls of a file as objects UCX_NAME_00 and so on, which game engines take as collision shapes.
+def add_hulls(full: bpy.types.Object, file: Path, matrix: np.ndarray) -> list[bpy.types.Object]:
+    """Add the convex hulls of a file as objects, which game engines take as collision shapes.
+
+    Unreal Engine finds them by the name of the mesh that they belong to: UCX_NAME_00 and so on, UCX_NAME_LOD0_00 with levels of detail.
 
     Args:
-        full: mesh object of the asset; the hulls get its transform, parent and collections.
+        full: mesh object of the asset, named; the hulls get its transform, parent and collections.
         file: .npz with the arrays "vertices0" (V, 3) and "faces0" (F, 3) of the first hull, and so on.
-        name: of the asset.
-        offset: (3,) added to the vertices.
+        matrix: (4, 4) from the frame of the hulls to that of the object's mesh.
     """
     hulls = []
     with np.load(file, allow_pickle=False) as arrays:
         for i in range(min(len(arrays.files) // 2, MOST_HULLS)):
-            mesh = bpy.data.meshes.new(f"UCX_{name}_{i:02d}")
-            mesh.from_pydata((arrays[f"vertices{i}"] + offset).tolist(), [], arrays[f"faces{i}"].tolist())
+            mesh = bpy.data.meshes.new(f"UCX_{full.name}_{i:02d}")
+            mesh.from_pydata(moved_points(arrays[f"vertices{i}"], matrix).tolist(), [], arrays[f"faces{i}"].tolist())
             hull = _placed_beside(full, mesh, mesh.name)
             hull.display_type = "WIRE"
             hulls.append(hull)

@@ -12,6 +12,7 @@ from mathutils import Matrix
 
 from ...core.scene.camera import Camera
 from ...core.scene.camera_files import PlacedCamera
+from ..image_path import path_in_file
 from .ownership import Owner, link, put
 
 BEHIND = 0.5  # opacity of a photograph behind the scene
@@ -33,7 +34,8 @@ def place_cameras(
         Camera objects in the order of `records`.
     """
     cameras = owner.reuse(bpy.data.collections, "cameras", f"{parent.name} cameras")
-    link(cameras, parent)
+    if not cameras.users:  # else it may be anywhere, such as beside the collection of an asset
+        link(cameras, parent)
     rig = _rig(owner, root, cameras)
     distance = float(np.median([np.linalg.norm(record.camera.centre) for record in records])) if records else 1.0
     placed = []
@@ -131,6 +133,6 @@ def set_background(lens: bpy.types.Camera, image: Path) -> None:
         image: file of the photograph.
     """
     background = lens.background_images.new()
-    background.image = bpy.data.images.load(str(image.resolve()), check_existing=True)
+    background.image = bpy.data.images.load(path_in_file(image), check_existing=True)
     background.alpha, background.display_depth, background.frame_method = BEHIND, "BACK", "STRETCH"
     lens.show_background_images = True

@@ -11,8 +11,8 @@ import numpy as np
 
 from .ownership import Owner, put
 from .point_cloud import build_points
+from .run_mesh import set_polygons
 from .run_root import placed_root
-from .scene_builder import set_polygons
 
 SHAPE = "previews/shape.npz"  # in a run folder, see `Progress.shape` of the engine
 PARTS = ("position", "colour", "centre", "to_world")

@@ -15,6 +15,7 @@ from typing import Any
 import bpy
 from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
+from ..image_path import path_in_file
 from ..properties import set_quietly
 from .mask_image import MASK
 from .ownership import KEY, rename_owner
@@ -89,7 +90,9 @@ def _correct_images(before: Path, now: Path) -> None:
             continue
         if MASK in image:
             image[MASK] = str(moved(Path(image[MASK]), before, now))
-        if image.source == "FILE" and image.filepath and not image.filepath.startswith("//"):
+        if image.source == "FILE" and image.filepath.startswith("//"):
+            _follow_file(image, before)
+        elif image.source == "FILE" and image.filepath:
             place = str(moved(Path(image.filepath), before, now))
             if place == image.filepath:
                 continue
@@ -97,6 +100,15 @@ def _correct_images(before: Path, now: Path) -> None:
                 image.filepath_raw = place  # without reading the file, since the .blend holds the pixels
             else:
                 image.filepath = place
+
+
+def _follow_file(image: bpy.types.Image, before: Path) -> None:
+    """Correct the relative path of an image that stayed where it was, while the .blend file was moved alone."""
+    file = before / image.filepath[2:]
+    if not Path(bpy.path.abspath(image.filepath)).exists() and file.exists():
+        image.filepath_raw = path_in_file(file)
+        if image.packed_file is None:
+            image.reload()
 
 
 def _correct_settings(scene: bpy.types.Scene, before: Path, now: Path) -> None:

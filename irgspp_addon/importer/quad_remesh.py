@@ -15,7 +15,7 @@ from ...core.errors import IrgsppError
 from ..exit_status import exit_status
 from .asset_parts import normals_from
 from .edited_mesh import write_mesh
-from .scene_builder import textured_mesh
+from .run_mesh import textured_mesh
 
 LEAST = 0.5  # of the number asked for: fewer don't follow the shape, as where open borders run through it
 FIX = "try another number, or bake --triangles first"
@@ -38,7 +38,7 @@ def remesh(source: Path, target: Path, quads: int) -> None:
         IrgsppError: if QuadriFlow finds no quads.
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
-    full = textured_mesh(source, "full", np.zeros(3, np.float32))
+    full = textured_mesh(source, "full", np.eye(4))
     thing = bpy.data.objects.new("quads", full.copy())
     bpy.context.scene.collection.objects.link(thing)
     bpy.context.view_layer.objects.active = thing

@@ -11,12 +11,15 @@ from typing import Any
 import bpy
 import numpy as np
 
+from ...core.assets.options import UNTURNED
 from ...core.errors import InputError
 from ...core.scene.camera import Camera
 from ...core.scene.lamps import Lamp
+from .mesh_origin import mesh_to_run
 from .ownership import KEY, folder_of
 
 FAR = 300.0  # distance, in radii of the object, of the perspective camera that replaces an orthographic one
+ROUNDING = 1e-5  # of matrices that are composed and inverted
 SLACK = 1e-3  # tolerance for unequal scale of the axes, relative to the scale
 
 
@@ -102,16 +105,29 @@ def frame_of(thing: bpy.types.Object | None) -> Frame:
     """
     if thing is None:
         return UNMOVED
-    matrix = np.array(thing.matrix_world, float)  # of the evaluated object where it may be animated
+    placed = np.array(thing.matrix_world, float)  # of the evaluated object where it may be animated
+    matrix = placed @ np.array(mesh_to_run(thing).inverted(), float)
     axes = matrix[:3, :3]
     scale = np.cbrt(np.linalg.det(axes))
     if not np.isfinite(matrix).all() or scale <= 0 or np.abs(axes.T @ axes - scale**2 * np.eye(3)).max() > SLACK * scale**2:
         raise InputError(
             thing.name, "is stretched, mirrored or of no size, so it can't be relit", "give its axes one equal, positive scale"
         )
-    corners = np.array([[*corner, 1.0] for corner in thing.bound_box]) @ matrix.T
+    corners = np.array([[*corner, 1.0] for corner in thing.bound_box]) @ placed.T
     low, high = corners[:, :3].min(0), corners[:, :3].max(0)
     return Frame(matrix, (low + high) / 2, float(np.linalg.norm(high - low)) / 2 or 1.0)
+
+
+def transform_of(thing: bpy.types.Object | None) -> tuple[float, ...]:
+    """Return how an object is turned and scaled in Blender's world, relative to the run: the rows of a matrix (3, 3).
+
+    Args:
+        thing: mesh object of a run; None stands for one that was not moved.
+    """
+    if thing is None:
+        return UNTURNED
+    matrix = (np.array(thing.matrix_world, float) @ np.array(mesh_to_run(thing).inverted(), float))[:3, :3]
+    return UNTURNED if np.abs(matrix - np.eye(3)).max() < ROUNDING else tuple(matrix.reshape(-1).tolist())
 
 
 def albedo_scale(thing: bpy.types.Object | None) -> tuple[float, float, float]:

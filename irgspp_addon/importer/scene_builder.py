@@ -13,21 +13,18 @@ from mathutils import Matrix
 
 from ...core.errors import InputError
 from ...core.scene.camera_files import load_run_cameras
-from ...core.scene.gbuffer import CONFIDENCE
+from ...core.scene.mesh import foot
 from ..world.light_to_world import load_image, world_from_map
 from .cameras import look_through, place_cameras
 from .confidence_view import ATTRIBUTE, add_confidence_nodes
 from .displacement import Heights
 from .materials import SOURCES, TEXTURES, build_material
+from .mesh_origin import mesh_to_run, set_origin
 from .ownership import Owner, put
 from .placement import Placement
-from .ply import read_ply
 from .run_frame import ALBEDO_SCALE
+from .run_mesh import built_mesh, columns, read_mesh
 from .run_root import placed_root
-
-COLUMNS = ("x", "y", "z", "nx", "ny", "nz", "s", "t", "albedo_r", "albedo_g", "albedo_b", "roughness", "metallic", "vertex_indices")
-QUAD = "quad"  # property of faces: this triangle and the next one make up a quad
-COVERAGE = "confidence"  # column that runs of version 0.1 lack
 
 
 @dataclass(frozen=True)
@@ -68,7 +65,7 @@ def import_run(
     Raises:
         InputError: if the folder is not a finished run, or the imported mesh is in Edit Mode; then no datablock has been created.
     """
-    cameras, elements = load_run_cameras(run / "cameras.json"), _read_mesh(run / "mesh.ply")
+    cameras, elements = load_run_cameras(run / "cameras.json"), read_mesh(run / "mesh.ply")
     _check_files(run, source)
     to_world, centre = _frame(run)
     owner = Owner(run)
@@ -78,7 +75,10 @@ def import_run(
     scene = scene or bpy.context.scene
     name = owner.folder.name
     collection, root = placed_root(owner, scene, to_world, centre, placement)
-    mesh = owner.object("mesh", name, owner.replace(bpy.data.meshes, "mesh data", _mesh(elements, name)), root)
+    before, origin = mesh_to_run(existing) if existing is not None else Matrix(), foot(columns(elements["vertex"], "x", "y", "z"))
+    data = owner.replace(bpy.data.meshes, "mesh data", built_mesh(elements, name, np.array(Matrix.Translation(-origin))))
+    mesh = owner.object("mesh", name, data, root)
+    set_origin(mesh, before, origin)
     put(mesh, collection)
     _add_albedo_scale(mesh)
     material = _material(owner, name, run, source, pack)
@@ -124,99 +124,6 @@ def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
         look_through(scene, imported.cameras[0])
 
 
-def _read_mesh(path: Path) -> dict[str, np.ndarray]:
-    elements = read_ply(path)
-    found = [name for element in ("vertex", "face") if element in elements for name in elements[element].dtype.names or ()]
-    missing = [name for name in COLUMNS if name not in found]
-    if missing:
-        raise InputError(path, f"lacks {', '.join(missing)}", "choose the folder of a finished run")
-    return elements
-
-
-def textured_mesh(path: Path, name: str, offset: np.ndarray) -> bpy.types.Mesh:
-    """Build the mesh of a run with its UVs and normals, without the materials at its vertices.
-
-    Args:
-        path: mesh.ply of the run.
-        name: of the mesh.
-        offset: (3,) added to the vertices.
-
-    Raises:
-        InputError: if the file is missing or no mesh of a run.
-    """
-    mesh = _mesh(_read_mesh(path), name)
-    for name in ("albedo", "roughness", "metallic", COVERAGE, ATTRIBUTE):
-        if name in mesh.attributes:
-            mesh.attributes.remove(mesh.attributes[name])
-    mesh.transform(Matrix.Translation(offset.tolist()))
-    return mesh
-
-
-def _mesh(elements: dict[str, np.ndarray], name: str) -> bpy.types.Mesh:
-    """Build the mesh with welded UV seams, a connected surface for sculpting and smoothing: Blender stores UVs per corner."""
-    vertex, face = elements["vertex"], elements["face"]
-    corners, sizes = _polygons(face)
-    positions, first, welded = np.unique(_columns(vertex, "x", "y", "z"), axis=0, return_index=True, return_inverse=True)
-    mesh = bpy.data.meshes.new(name)
-    set_polygons(mesh, positions, welded.reshape(-1)[corners], sizes)
-    uv = mesh.uv_layers.new(name="UVMap")
-    uv.data.foreach_set("uv", _columns(vertex, "s", "t")[corners].reshape(-1))
-    _set_attributes(mesh, vertex[first])
-    mesh.shade_smooth()
-    mesh.update()
-    mesh.normals_split_custom_set_from_vertices(_columns(vertex[first], "nx", "ny", "nz").tolist())
-    return mesh
-
-
-def _polygons(face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the corners (L,) of the polygons one after another, and their numbers: 4 where two triangles are marked as a quad."""
-    triangles = face["vertex_indices"].astype(np.int64)
-    quads = face[QUAD].astype(bool) if QUAD in face.dtype.names else np.zeros(len(face), bool)
-    quads[-1:] = False  # there is no next one
-    rows = np.concatenate([triangles, np.roll(triangles, -1, axis=0)[:, 2:]], -1)
-    begins = ~np.append([False], quads[:-1])
-    sizes = np.where(quads, 4, 3)[begins]
-    return rows[begins][np.arange(4) < sizes[:, None]], sizes
-
-
-def set_polygons(mesh: bpy.types.Mesh, positions: np.ndarray, corners: np.ndarray, sizes: np.ndarray) -> None:
-    """Set vertices and polygons as `from_pydata` does, without a Python object for each number.
-
-    Args:
-        mesh: empty mesh.
-        positions: (V, 3).
-        corners: (L,) indices of vertices, all valid, polygon after polygon.
-        sizes: (P,) number of corners of each polygon.
-    """
-    mesh.vertices.add(len(positions))
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(positions, np.float32).reshape(-1))
-    mesh.loops.add(len(corners))
-    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(corners, np.int32))
-    mesh.polygons.add(len(sizes))
-    mesh.polygons.foreach_set("loop_start", (np.cumsum(sizes) - sizes).astype(np.int32))
-    mesh.update(calc_edges=True)
-
-
-def _set_attributes(mesh: bpy.types.Mesh, vertex: np.ndarray) -> None:
-    if set(CONFIDENCE) <= set(vertex.dtype.names):
-        _set_colour(mesh, ATTRIBUTE, _columns(vertex, *CONFIDENCE))
-    _set_colour(mesh, "albedo", _columns(vertex, "albedo_r", "albedo_g", "albedo_b"))
-    mesh.color_attributes.active_color = mesh.color_attributes["albedo"]
-    for name in ("roughness", "metallic", *({COVERAGE} & set(vertex.dtype.names))):
-        mesh.attributes.new(name, "FLOAT", "POINT").data.foreach_set("value", _columns(vertex, name)[:, 0])
-
-
-def _set_colour(mesh: bpy.types.Mesh, name: str, rgb: np.ndarray) -> None:
-    """Add a colour attribute with the values (N, 3)."""
-    attribute = mesh.color_attributes.new(name, "FLOAT_COLOR", "POINT")
-    attribute.data.foreach_set("color", np.c_[rgb, np.ones(len(rgb), np.float32)].reshape(-1))
-
-
-def _columns(vertex: np.ndarray, *names: str) -> np.ndarray:
-    """Return columns of a PLY element as (N, len(names)) float32."""
-    return np.stack([vertex[name] for name in names], -1).astype(np.float32)
-
-
 def _material(owner: Owner, name: str, run: Path, source: str, pack: bool) -> bpy.types.Material:
     """Create the material, which can read textures (if there are any) and attributes."""
     images, textures = {}, run / "textures"
@@ -251,12 +158,22 @@ def _light(owner: Owner, path: Path, name: str, pack: bool, root: bpy.types.Obje
     new = world_from_map(path, name, pack)
     nodes = {node.bl_idname: node for node in new.node_tree.nodes}
     owner.replace(bpy.data.images, "light", nodes["ShaderNodeTexEnvironment"].image)
-    # The Mapping node rotates the lookup direction from Blender's world into the engine's frame.
-    rotation = root.matrix_world.to_quaternion().inverted()
-    nodes["ShaderNodeMapping"].inputs["Rotation"].default_value = rotation.to_euler()
+    turn_light(new, root)
     world = owner.replace(bpy.data.worlds, "world", new)
     world.use_fake_user = True
     return world
+
+
+def turn_light(world: bpy.types.World, root: bpy.types.Object) -> None:
+    """Turn the World of the recovered light with the empty, so that the object is lit as in the photographs.
+
+    Args:
+        world: World of an imported run.
+        root: empty above the run's objects.
+    """
+    mapping = next(node for node in world.node_tree.nodes if node.bl_idname == "ShaderNodeMapping")
+    # The Mapping node rotates the lookup direction from Blender's world into the engine's frame.
+    mapping.inputs["Rotation"].default_value = root.matrix_world.to_quaternion().inverted().to_euler()
 
 
 def _frame(run: Path) -> tuple[np.ndarray, tuple[float, float, float]]:

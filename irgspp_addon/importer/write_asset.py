@@ -2,8 +2,9 @@
 """Write a run's object in formats of other programs, in a separate process with `bpy`: `launch.py ... JOB.json OUT.fbx OUT.usdc`.
 
 JOB.json holds "run" (folder), "name" of the asset, "textures" (folder of albedo, roughness, metallic, normal and orm.png), "pack" (True to
-put them into the file), "lods" (fraction of the triangles in each further level), "hulls" (.npz, or null) and "offset" (3 numbers added to
-the vertices).
+put them into the file), "lods" (fraction of the triangles in each further level), "hulls" (.npz, or null) "occlusion" (True
+where red of orm.png is to be read) and "matrix" (4 x 4, that
+the vertices are multiplied by).
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ from ..world.light_to_world import load_image
 from ..world.shader_nodes import node_tree
 from .asset_parts import add_hulls, add_levels
 from .materials import TEXTURES
-from .scene_builder import textured_mesh
+from .run_mesh import textured_mesh
 
 AXES = {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}  # of OBJ
 
@@ -41,7 +42,7 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     name, textures = job["name"], Path(job["textures"])
-    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["offset"], np.float32))
+    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["matrix"]))
     material = bpy.data.materials.new(name)
     mesh.materials.append(material)
     full = bpy.data.objects.new(name, mesh)
@@ -49,16 +50,16 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     if job["lods"]:
         add_levels(full, job["lods"], name)
     if job["hulls"]:
-        add_hulls(full, Path(job["hulls"]), name, np.array(job["offset"]))
+        add_hulls(full, Path(job["hulls"]), np.array(job["matrix"]))
     for target in targets:
         write = WRITERS.get(target.suffix.lower())
         if write is None:
             raise InputError(target, "has no known suffix", f"use {', '.join(WRITERS)}")
-        _build_material(material, textures, target.suffix.lower() == ".glb")
+        _build_material(material, textures, target.suffix.lower() == ".glb", bool(job["occlusion"]))
         write(target, bool(job["pack"]))
 
 
-def _build_material(material: bpy.types.Material, textures: Path, packed_channels: bool) -> None:
+def _build_material(material: bpy.types.Material, textures: Path, packed_channels: bool, occlusion: bool) -> None:
     """Link the textures to a Principled BSDF: roughness and metallic as images of their own, or as channels of orm.png (glTF)."""
     nodes, links = node_tree(material)
     principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
@@ -77,12 +78,23 @@ def _build_material(material: bpy.types.Material, textures: Path, packed_channel
         links.new(images["orm"].outputs["Color"], channels.inputs["Color"])
         links.new(channels.outputs["Green"], principled.inputs["Roughness"])
         links.new(channels.outputs["Blue"], principled.inputs["Metallic"])
+        if occlusion:
+            links.new(channels.outputs["Red"], _gltf_output(nodes).inputs["Occlusion"])
     else:
         links.new(images["roughness"].outputs["Color"], principled.inputs["Roughness"])
         links.new(images["metallic"].outputs["Color"], principled.inputs["Metallic"])
     normal = nodes.new("ShaderNodeNormalMap")
     links.new(images["normal"].outputs["Color"], normal.inputs["Color"])
     links.new(normal.outputs["Normal"], principled.inputs["Normal"])
+
+
+def _gltf_output(nodes: bpy.types.Nodes) -> bpy.types.Node:
+    """Return the group of nodes by which Blender's exporter of glTF knows the occlusion texture."""
+    tree = bpy.data.node_groups.new("glTF Material Output", "ShaderNodeTree")
+    tree.interface.new_socket("Occlusion", in_out="INPUT", socket_type="NodeSocketFloat")
+    node = nodes.new("ShaderNodeGroup")
+    node.node_tree = tree
+    return node
 
 
 def _write_obj(target: Path, pack: bool) -> None:

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import bpy
 
+from ..image_path import path_in_file
 from .shader_nodes import node_tree
 
 LEAST_SAMPLED, MOST_SAMPLED = 512, 4096  # width in texels of the table from which Cycles draws light samples
@@ -57,7 +58,7 @@ def load_image(path: Path, colour_space: str | None, pack: bool) -> bpy.types.Im
         colour_space: name of its colour space in Blender; None: what Blender takes it for.
         pack: True to pack the image into the .blend, False to link the file.
     """
-    image = bpy.data.images.load(str(path.resolve()))
+    image = bpy.data.images.load(path_in_file(path))
     if colour_space is not None:
         image.colorspace_settings.name = colour_space
     if pack:

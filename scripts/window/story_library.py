@@ -56,7 +56,8 @@ def make_asset(run: Path, file: Path) -> Iterator[float]:
     yield from browsing.press_button("irgspp.mark_asset")
     yield 1.0
     driver.key("Return")
-    yield from driver.wait(lambda: thing.asset_data is not None, 60)
+    (collection,) = thing.users_collection
+    yield from driver.wait(lambda: collection.asset_data is not None, 60)
     bpy.ops.wm.save_mainfile()
     return thing.name
 
@@ -80,7 +81,7 @@ def append(file: Path, name: str) -> Iterator[float]:
 
 
 def drag_linked(folder: Path) -> Iterator[float]:
-    """Drag the object from the Asset Browser, set to link, into the 3D View of a new file.
+    """Drag the collection from the Asset Browser, set to link, into the 3D View of a new file, where it becomes an instance.
 
     Args:
         folder: of the asset library.
@@ -96,17 +97,18 @@ def drag_linked(folder: Path) -> Iterator[float]:
     driver.shot("64_asset_browser")
     place, view = driver.region("WINDOW", area), driver.region("WINDOW")
     yield from drag(place.x + 50, place.y + place.height - 50, view.x + 0.35 * view.width, view.y + 0.5 * view.height)
-    yield from driver.wait(lambda: objects(), 60)
+    yield from driver.wait(lambda: instances(), 60)
     yield 1.0
     driver.shot("65_linked")
-    (thing,) = objects()
-    assert thing.library is not None or thing.data.library is not None, "it is not linked"
+    (instance,) = instances()
+    assert instance.instance_collection.library is not None, "it is not linked"
+    (thing,) = [part for part in instance.instance_collection.all_objects if part.type == "MESH"]
     assert_textures(thing)
 
 
 def override() -> Iterator[float]:
-    """Make a library override of the linked object, as Object > Library Override does."""
-    (thing,) = objects()
+    """Make a library override of the linked collection, as Object > Library Override does with its instance."""
+    (thing,) = instances()
     bpy.context.view_layer.objects.active = thing
     thing.select_set(True)
     with driver.override():
@@ -178,6 +180,11 @@ def drag(x: float, y: float, to_x: float, to_y: float) -> Iterator[float]:
 def objects() -> list[bpy.types.Object]:
     """Return the scene's meshes."""
     return [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]
+
+
+def instances() -> list[bpy.types.Object]:
+    """Return the scene's instances of collections."""
+    return [thing for thing in bpy.context.scene.objects if thing.instance_collection is not None]
 
 
 def assert_textures(thing: bpy.types.Object) -> None:

@@ -40,7 +40,11 @@ FORMATTED = {  # f-strings with words: units, which are the same in all language
     "f\"{', '.join(SUFFIXES[:-1])} or {SUFFIXES[-1]}\"",
     "f'Ends with {ENDINGS}'",
 }
-ADVICE = {"inspect the dataset again there", "import the dataset again there"}  # the end of an error, like those of FORMATTED
+ADVICE = {
+    "inspect the dataset again there",
+    "import the dataset again there",
+    "mark the asset again",
+}  # the end of an error, like those of FORMATTED
 ELSEWHERE = {*map(str.capitalize, SHOWN), "queued", "running"}  # rows of an inspection, and states of jobs: looked up when they are shown
 
 

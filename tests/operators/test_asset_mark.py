@@ -7,12 +7,15 @@ import bpy
 import numpy as np
 import pytest
 from blender_side import write_image
+from irgspp.irgspp_addon.importer.asset_collection import collection_of
 from irgspp.irgspp_addon.importer.asset_mark import CATALOGUES
 from irgspp.irgspp_addon.importer.run_frame import run_object
+from irgspp.irgspp_addon.importer.scene_builder import import_run
 from irgspp.irgspp_addon.relight import session as relight_session
 from irgspp.operators.asset_mark import IRGSPP_OT_mark_asset
 from irgspp.panels import asset as asset_panel
 from irgspp.panels import run_state
+from mathutils import Vector
 from recording_layout import RecordingLayout, draw
 from relighting import image_pixels, lamp
 
@@ -25,7 +28,7 @@ def library(scene, relightable, tmp_path):
     folder = tmp_path / "library"
     folder.mkdir()
     bpy.ops.wm.save_as_mainfile(filepath=str(folder / "ball.blend"))
-    assert bpy.ops.irgspp.mark_asset(run=str(relightable), **DETAILS) == {"FINISHED"}
+    assert bpy.ops.irgspp.mark_asset(run=str(relightable), kind="OBJECT", **DETAILS) == {"FINISHED"}
     bpy.ops.wm.save_mainfile()
     return folder / "ball.blend"
 
@@ -51,9 +54,9 @@ def test_details_and_catalogue(library, relightable):
     assert [tag.name for tag in asset.tags] == ["ball", "metal"]
     catalogues = (library.parent / CATALOGUES).read_text()
     assert "VERSION 1" in catalogues and f"{asset.catalog_id}:Toys/Balls:Toys-Balls\n" in catalogues
-    bpy.ops.irgspp.mark_asset(run=str(relightable), tags="other", catalogue=" Toys / Balls ")
+    bpy.ops.irgspp.mark_asset(run=str(relightable), kind="OBJECT", tags="other", catalogue=" Toys / Balls ")
     assert (library.parent / CATALOGUES).read_text() == catalogues and [tag.name for tag in asset.tags] == ["other"]
-    bpy.ops.irgspp.mark_asset(run=str(relightable), catalogue="Toys/New")
+    bpy.ops.irgspp.mark_asset(run=str(relightable), kind="OBJECT", catalogue="Toys/New")
     assert (library.parent / CATALOGUES).read_text().startswith(catalogues) and asset.catalog_id in (
         library.parent / CATALOGUES
     ).read_text()
@@ -62,7 +65,7 @@ def test_details_and_catalogue(library, relightable):
 def test_the_dialog_of_an_asset_begins_with_its_details(library, relightable):
     tool = SimpleNamespace()
     IRGSPP_OT_mark_asset.take_details(tool, run_object(bpy.context.scene, relightable))
-    assert vars(tool) == {**DETAILS, "tags": "ball, metal"}
+    assert vars(tool) == {**DETAILS, "tags": "ball, metal", "kind": "OBJECT"}
 
 
 def test_the_preview_is_the_relit_object(library, relightable):
@@ -78,7 +81,7 @@ def test_the_preview_is_the_relit_object(library, relightable):
 
 def test_a_picture_of_one_s_own(scene, relightable, tmp_path):
     write_image(tmp_path / "own.exr", lamp())
-    words = {"run": str(relightable), "catalogue": ""}
+    words = {"run": str(relightable), "catalogue": "", "kind": "OBJECT"}
     assert bpy.ops.irgspp.mark_asset(picture=str(tmp_path / "own.exr"), **words) == {"FINISHED"}
     assert run_object(scene, relightable).preview.is_image_custom
     with pytest.raises(RuntimeError, match="no such file"):
@@ -90,6 +93,75 @@ def test_appended_it_is_complete(library, relightable):
     bpy.context.scene.collection.objects.link(thing)
     assert thing.asset_data.author == "A. Person" and len(images_of(thing)) >= 4
     assert all(image.packed_file is not None and image.size[0] == 32 for image in images_of(thing))
+
+
+def test_the_collection_has_levels_and_hulls_and_no_cameras(scene, relightable, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "ball.blend"))
+    thing = run_object(scene, relightable)
+    thing.location.x += 2
+    words = {"run": str(relightable), "lods": True, "collision": True, **DETAILS, "catalogue": ""}
+    for _ in range(2):  # marking again replaces the parts
+        assert bpy.ops.irgspp.mark_asset(**words) == {"FINISHED"}
+    collection = collection_of(thing)
+    meshes = sorted(part.name for part in collection.all_objects if part.type == "MESH")
+    hulls = [name for name in meshes if name.startswith("UCX_ball_LOD0_")]
+    assert hulls and [*hulls, "ball_LOD0", "ball_LOD1", "ball_LOD2"] == meshes
+    assert all(bpy.data.objects[name].hide_viewport != (name == "ball_LOD0") for name in meshes)
+    assert not [part for part in collection.all_objects if part.type == "CAMERA"] and [t for t in scene.objects if t.type == "CAMERA"]
+    np.testing.assert_allclose(collection.instance_offset, thing.matrix_world.translation, atol=1e-6)
+    for name in hulls:
+        bpy.data.objects[name].hide_viewport = False
+    bounds = [np.concatenate([corners_of(bpy.data.objects[name]) for name in names]) for names in (hulls, [thing.name])]
+    np.testing.assert_allclose(bounds[0].min(0), bounds[1].min(0), atol=0.1)
+    np.testing.assert_allclose(bounds[0].max(0), bounds[1].max(0), atol=0.1)
+    import_run(relightable)
+    assert not [part for part in collection.all_objects if part.type == "CAMERA"]
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "ball.blend"), assets_only=True) as (source, wanted):
+        assert not source.objects
+        wanted.collections = source.collections
+    (appended,) = wanted.collections
+    bpy.context.scene.collection.children.link(appended)
+    full = next(part for part in appended.all_objects if part.name == "ball_LOD0")
+    assert appended.asset_data.author == "A. Person" and appended.preview.image_size[0] == 256
+    assert all(image.packed_file is not None and image.size[0] == 32 for image in images_of(full))
+    assert run_object(bpy.context.scene, relightable) == full
+
+
+def corners_of(thing) -> np.ndarray:
+    bpy.context.view_layer.update()
+    return np.array([thing.matrix_world @ Vector(corner) for corner in thing.bound_box])
+
+
+def test_one_asset_at_a_time(scene, relightable):
+    thing = run_object(scene, relightable)
+    for kind, others in (("OBJECT", False), ("COLLECTION", True), ("OBJECT", False)):
+        bpy.ops.irgspp.mark_asset(run=str(relightable), kind=kind, catalogue="")
+        assert (thing.asset_data is None, collection_of(thing).asset_data is None) == (others, not others)
+    thing.users_collection[0].objects.unlink(thing)
+    scene.collection.objects.link(thing)
+    with pytest.raises(RuntimeError, match="not in the collection of its import"):
+        bpy.ops.irgspp.mark_asset(run=str(relightable), catalogue="")
+
+
+def test_an_overridden_instance_of_the_collection_relights(scene, relightable, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "ball.blend"))
+    bpy.ops.irgspp.mark_asset(run=str(relightable), catalogue="")
+    bpy.ops.wm.save_mainfile()
+    bpy.ops.wm.read_homefile(use_empty=True)
+    with bpy.data.libraries.load(str(tmp_path / "ball.blend"), assets_only=True, link=True) as (source, wanted):
+        wanted.collections = source.collections
+    scene = bpy.context.scene
+    wanted.collections[0].override_hierarchy_create(scene, bpy.context.view_layer, do_fully_editable=True)
+    thing = run_object(scene, relightable)
+    assert thing.override_library is not None
+    lens = bpy.data.objects.new("eye", bpy.data.cameras.new("eye"))
+    scene.collection.objects.link(lens)
+    scene.camera, lens.location = lens, (0, 0, 6)
+    words = {"eye": "camera", "samples": 8, "resolution": 48, "use_world": False}
+    assert bpy.ops.irgspp.relight_preview(run=str(relightable), **words) == {"FINISHED"}
+    assert image_pixels()[..., 3].max() > 0.9
 
 
 @pytest.mark.parametrize("packed", [True, False])
@@ -139,8 +211,10 @@ def test_errors_and_missing_engine(scene, relightable, tmp_path, monkeypatch, ca
 
 def test_the_dialog_asks_for_the_details_alone(scene):
     layout = RecordingLayout()
-    IRGSPP_OT_mark_asset.draw(SimpleNamespace(layout=layout, bl_rna=bpy.ops.irgspp.mark_asset.get_rna_type()), bpy.context)
-    assert layout.properties == ["author", "licence", "description", "tags", "catalogue", "picture"]
+    IRGSPP_OT_mark_asset.draw(
+        SimpleNamespace(layout=layout, kind="COLLECTION", bl_rna=bpy.ops.irgspp.mark_asset.get_rna_type()), bpy.context
+    )
+    assert layout.properties == ["kind", "lods", "collision", "author", "licence", "description", "tags", "catalogue", "picture"]
 
 
 def test_the_panel(scene, relightable):
@@ -150,3 +224,6 @@ def test_the_panel(scene, relightable):
     assert draw(asset_panel.IRGSPP_PT_asset).buttons("irgspp.mark_asset")
     bpy.ops.irgspp.mark_asset(run=str(relightable), author="A. Person", catalogue="")
     assert "A. Person" in draw(asset_panel.IRGSPP_PT_asset).words
+    scene.irgspp.export_lods = True
+    (mark,) = draw(asset_panel.IRGSPP_PT_asset).buttons("irgspp.mark_asset")
+    assert mark.values["lods"] and not mark.values["collision"]

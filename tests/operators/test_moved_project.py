@@ -84,6 +84,31 @@ def test_a_blend_file_that_moved_alone_keeps_its_links(project, tmp_path):
     assert bpy.context.scene.irgspp.dataset_path() == project / "photos"
 
 
+@pytest.mark.parametrize("saved_before", [True, False])
+def test_linked_images_are_relative(project, tmp_path, saved_before):
+    """Textures, light and photographs, whether the file was saved before the import or only afterwards."""
+    if saved_before:
+        bpy.ops.wm.save_as_mainfile(filepath=str(project / "scene.blend"))
+    bpy.ops.irgspp.import_run(directory=str(project / "photos_irgspp"), pack=False)
+    bpy.ops.wm.save_as_mainfile(filepath=str(project / "scene.blend"))
+    shutil.move(project, tmp_path / "elsewhere")
+    opened(tmp_path / "elsewhere")
+    assert len(bpy.data.images) == 8
+    for image in bpy.data.images:
+        assert image.filepath.startswith("//") and image.packed_file is None
+        assert Path(bpy.path.abspath(image.filepath)).is_file() and image.size[0] > 0
+
+
+def test_a_file_that_moved_alone_finds_linked_images(project, tmp_path):
+    bpy.ops.wm.save_as_mainfile(filepath=str(project / "scene.blend"))
+    bpy.ops.irgspp.import_run(directory=str(project / "photos_irgspp"), pack=False)
+    bpy.ops.wm.save_mainfile()
+    (tmp_path / "elsewhere").mkdir()
+    shutil.move(project / "scene.blend", tmp_path / "elsewhere" / "scene.blend")
+    opened(tmp_path / "elsewhere")
+    assert all(Path(bpy.path.abspath(image.filepath)).is_file() and image.size[0] > 0 for image in bpy.data.images)
+
+
 def test_a_run_that_moved_alone_is_said_to_be_gone_and_gets_one_owner(project, tmp_path):
     before = saved(project)
     shutil.move(project / "photos_irgspp", tmp_path / "other_name")

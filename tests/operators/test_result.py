@@ -14,6 +14,7 @@ from engine_jobs import finished_run, leave_finished, reconstruction
 from irgspp.irgspp_addon.importer.edited_mesh import save_edited
 from irgspp.irgspp_addon.importer.materials import source_of
 from irgspp.irgspp_addon.importer.ply import read_ply
+from irgspp.irgspp_addon.importer.run_frame import frame_of, run_object
 from irgspp.irgspp_addon.jobs import queue as jobs
 from mathutils import Matrix
 
@@ -91,7 +92,7 @@ def test_edited_object_becomes_the_result(run):
     bpy.context.view_layer.update()
     assert triangles(thing) == count and not thing.modifiers
     assert np.allclose(bounds(thing), before, atol=1e-4)
-    assert thing.matrix_basis == Matrix() and texture_size() == 64
+    assert np.allclose(frame_of(thing).matrix, np.array(thing.parent.matrix_world), atol=1e-5) and texture_size() == 64
 
 
 def test_run_becomes_quads(run):
@@ -157,6 +158,32 @@ def test_export(run, tmp_path, suffix):
     assert target.stat().st_size > 1000
 
 
+def test_exports_are_turned_and_scaled_as_the_object(run, tmp_path):
+    scene = bpy.context.scene
+    thing = run_object(scene, run)
+    high = max(vertex.co.z for vertex in thing.data.vertices)
+    thing.scale = (2, 2, 2)
+    thing.location.x += 5
+    for chosen, factor in (({}, 2), ({"as_placed": False}, 1)):
+        bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / "a.glb"), **chosen)
+        height = read_height(tmp_path / "a.glb")
+        assert abs(height / (factor * high) - 1) < 1e-4
+    thing.scale = (2, 1, 1)
+    for suffix in (".blend", ".ply"):
+        with pytest.raises(RuntimeError, match="stretches the object"):
+            bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / f"a{suffix}"))
+    assert bpy.ops.irgspp.export(run=str(run), filepath=str(tmp_path / "light.exr")) == {"FINISHED"}
+
+
+def read_height(path) -> float:
+    """Return the top of an object in a .glb that stands on its foot."""
+    before = set(bpy.data.objects)
+    bpy.ops.import_scene.gltf(filepath=str(path))
+    bpy.context.view_layer.update()
+    new = [thing for thing in set(bpy.data.objects) - before if thing.type == "MESH"]
+    return max((thing.matrix_world @ vertex.co).z for thing in new for vertex in thing.data.vertices)
+
+
 def test_export_for_other_programs_with_levels_and_textures_beside(run, tmp_path):
     target = tmp_path / "chair.fbx"
     chosen = {"lods": True, "collision": True, "textures": "beside", "normal_map": "directx"}
@@ -167,7 +194,7 @@ def test_export_for_other_programs_with_levels_and_textures_beside(run, tmp_path
     before = set(bpy.data.objects)
     bpy.ops.import_scene.fbx(filepath=str(target))
     found = {thing.name for thing in set(bpy.data.objects) - before}
-    assert {"chair_LOD0", "chair_LOD1", "chair_LOD2", "UCX_chair_00"} <= found
+    assert {"chair_LOD0", "chair_LOD1", "chair_LOD2", "UCX_chair_LOD0_00"} <= found
     assert sorted(path.name for path in tmp_path.iterdir() if path.name.startswith((".", "chair"))) == ["chair.fbx", "chair_textures"]
 
 

@@ -172,6 +172,11 @@ def test_export_offers_each_format_what_it_can_have(settings, tmp_path):
     assert {suffix for suffix in values if values[suffix]["lods"]} == {".glb", ".usdc", ".usdz", ".fbx", ".obj", ".blend"}
     assert {suffix for suffix in values if values[suffix]["textures"] == "beside"} == {".usdc", ".fbx", ".obj", ".blend"}
     assert {suffix for suffix in values if values[suffix]["normal_map"] == "directx"} == {".fbx", ".obj"}
-    settings.export_textures = "packed"
+    settings.export_occlusion = True
+    values = {Path(button.values["filepath"]).suffix: button.values for button in draw(export.IRGSPP_PT_export).buttons("irgspp.export")}
+    assert {suffix for suffix in values if values[suffix]["occlusion"]} == {".glb", ".usdc", ".fbx", ".obj", ".blend"}
+    assert all(words["as_placed"] for words in values.values())
+    settings.export_textures, settings.export_as_placed = "packed", False
     values = {Path(button.values["filepath"]).suffix: button.values for button in draw(export.IRGSPP_PT_export).buttons("irgspp.export")}
     assert {suffix for suffix in values if values[suffix]["textures"] == "packed"} == {".glb", ".usdz", ".fbx", ".blend"}
+    assert not any(words["as_placed"] for words in values.values())

@@ -20,9 +20,10 @@ TEXTS: dict[str, str] = {
     "Frames of a turn of the light; 0: as many as the scene has": "Frames einer Drehung des Lichts; 0: so viele, wie die Szene hat",
     "No animation is rendered": "Es wird keine Animation gerendert",
     # Asset
-    "Mark the object as an asset: it appears in the Asset Browser with preview image, author, licence, tags and catalogue": (
-        "Das Objekt als Asset markieren: es erscheint im Asset-Browser mit Vorschaubild, Autor, Lizenz, Stichwörtern und Katalog"
+    "Mark the object, or its collection, as an asset of the Asset Browser with preview image, author, licence, tags and catalogue": (
+        "Das Objekt oder seine Sammlung als Asset des Asset-Browsers markieren, mit Vorschaubild, Autor, Lizenz, Stichwörtern und Katalog"
     ),
+    "Hulls of {name}": "Hüllen von {name}",
     "Author": "Autor",
     "Who made the object": "Wer das Objekt gemacht hat",
     "Licence": "Lizenz",

@@ -216,6 +216,21 @@ TEXTS: dict[str, str] = {
     "Add versions with a half and a quarter of the triangles, which share the textures": (
         "Fassungen mit der Hälfte und einem Viertel der Dreiecke hinzufügen, die sich die Texturen teilen"
     ),
+    "Datablock that becomes the asset": "Datenblock, der zum Asset wird",
+    "The object with levels of detail and collision hulls; placed as an instance or appended": (
+        "Das Objekt mit Detailstufen und Kollisionshüllen; als Instanz platziert oder angehängt"
+    ),
+    "Collection": "Sammlung",
+    "Object": "Objekt",
+    "The object alone": "Nur das Objekt",
+    "Occlusion": "Verdeckung",
+    "Trace how open each place of the surface is, for seconds: red of orm.png, and the occlusion texture of .glb": (
+        "Sekundenlang verfolgen, wie offen jede Stelle der Oberfläche ist: Rot von orm.png, und die Verdeckungstextur von .glb"
+    ),
+    "As in the Scene": "Wie in der Szene",
+    "Turn and scale the export as the object is turned and scaled in the scene; off: as it was reconstructed": (
+        "Den Export so drehen und skalieren, wie das Objekt in der Szene gedreht und skaliert ist; aus: so wie rekonstruiert"
+    ),
     "Collision Hulls": "Kollisionshüllen",
     "Add a few convex solids that game engines take as the collision shape (UCX_...)": (
         "Einige konvexe Körper hinzufügen, die Spiele-Engines als Kollisionsform nehmen (UCX_...)"

@@ -10,6 +10,7 @@ import pytest
 import trimesh
 from irgspp.core.assets import collision, production
 from irgspp.core.assets.export import export
+from irgspp.core.assets.occlusion import occlusion_texture
 from irgspp.core.assets.options import AssetOptions
 from irgspp.core.assets.texture_set import flipped_green, save_texture_set
 from irgspp.core.errors import InputError, IrgsppError
@@ -134,6 +135,55 @@ def test_glb_stands_on_its_foot_and_has_tangents(run, tmp_path):
     )  # u grows with the longitude, from x towards the world's y, -z here
     inner = np.abs(normal[:, 1]) < 0.9
     assert ((tangent[:, :3] * -east).sum(-1)[inner] > 0.4).all()
+
+
+def test_glb_turned_and_scaled_in_one(run, tmp_path):
+    turn = np.array([[1, 0, 0], [0, 0, -1], [0, 1, 0]])  # the run's y is up
+    export(run, tmp_path / "ball.glb", options=AssetOptions(transform=tuple(3.0 * turn.reshape(-1))))
+    mesh = load_mesh_ply(run / "mesh.ply")
+    _, attributes = read_glb(tmp_path / "ball.glb")
+    expected = 3 * mesh.vertices[:, [0, 1, 2]] + [0, 3, 0]  # glTF's y is up, too
+    np.testing.assert_allclose(attributes["POSITION"], expected, atol=0.01)
+    np.testing.assert_allclose(attributes["NORMAL"], mesh.normals, atol=1e-5)
+    with pytest.raises(InputError, match="mirrors"):
+        export(run, tmp_path / "a.glb", options=AssetOptions(transform=(1, 0, 0, 0, 1, 0, 0, 0, -1)))
+    with pytest.raises(InputError, match="not turned or scaled"):
+        export(run, tmp_path / "a.exr", options=AssetOptions(transform=(2, 0, 0, 0, 2, 0, 0, 0, 2)))
+
+
+def test_occlusion_is_dark_where_another_part_is_near(run, tmp_path):
+    export(run, tmp_path / "plain.glb")
+    export(run, tmp_path / "ball.glb", options=AssetOptions(occlusion=True))
+    assert "occlusionTexture" not in read_glb(tmp_path / "plain.glb")[0]["materials"][0]
+    material = read_glb(tmp_path / "ball.glb")[0]["materials"][0]
+    assert material["occlusionTexture"]["index"] == material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]
+    assert occlusion_texture(sphere(size=32), 32).min() > 0.97  # a convex body occludes nothing
+    ball = sphere(size=32)
+    above = ball.vertices * np.float32([3, 3, 0.05]) + np.float32([0, 0, 1.1])  # a disc just over it, in the same UVs: faces alone
+    faces = np.concatenate([ball.faces, ball.faces + len(above)])
+    uvs = np.concatenate([ball.uvs, 0 * ball.uvs])
+    both = Mesh(
+        **{
+            **vars(ball),
+            "vertices": np.concatenate([ball.vertices, above]),
+            "faces": faces,
+            "uvs": uvs,
+            "normals": np.concatenate([ball.normals, ball.normals]),
+        }
+    )
+    seen = occlusion_texture(both, 32)
+    assert seen[1].mean() < 0.3 and seen[-2].mean() > 0.95  # the sphere's top and bottom
+    for suffix in (".blend", ".usdz", ".fbx"):
+        with pytest.raises(InputError, match="no place for it"):
+            export(run, tmp_path / f"a{suffix}", options=AssetOptions(occlusion=True))
+
+
+def test_texture_set_with_occlusion(run, tmp_path):
+    save_texture_set(run, tmp_path / "set", occluded=load_mesh_ply(run / "mesh.ply"))
+    from PIL import Image
+
+    orm, separate = (np.asarray(Image.open(tmp_path / "set" / f"{name}.png")) for name in ("orm", "occlusion"))
+    np.testing.assert_array_equal(orm[..., 0], separate)
 
 
 def read_glb(path):

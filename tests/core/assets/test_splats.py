@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import torch
 from irgspp.core.assets.export import export
+from irgspp.core.assets.options import AssetOptions
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.kernels.rasterize import rasterize
@@ -100,6 +101,21 @@ def test_an_independent_reader_finds_our_surfels(run, tmp_path):
     encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.abs(linear) ** (1 / 2.4) - 0.055)
     np.testing.assert_allclose(splats.colour, encoded, atol=1e-4)
     assert np.abs(splats.rest).max() < 1e-3
+
+
+def test_turned_and_scaled(run, tmp_path, camera_ring):
+    """A viewer whose camera is turned and moved with the object sees the same picture."""
+    turn = Rotation.from_euler("xyz", (0.4, -0.7, 1.1)).as_matrix()
+    export(run, tmp_path / "o.ply")
+    export(run, tmp_path / "turned.ply", options=AssetOptions(transform=tuple((2.5 * turn).reshape(-1))))
+    before, after = read(tmp_path / "o.ply"), read(tmp_path / "turned.ply")
+    for camera in camera_ring(2):
+        pose = camera.to_world.copy()
+        pose[:3, :3], pose[:3, 3] = turn @ pose[:3, :3], 2.5 * turn @ pose[:3, 3]
+        error = (seen_by_viewer(before, camera) - seen_by_viewer(after, replace(camera, to_world=pose))).square().mean().item()
+        assert -10 * np.log10(error) > 45
+    with pytest.raises(InputError, match="stretches"):
+        export(run, tmp_path / "o.ply", options=AssetOptions(transform=(1, 0, 0, 0, 1, 0, 0, 0, 2)))
 
 
 def test_z_up_becomes_minus_y_up(run, tmp_path):

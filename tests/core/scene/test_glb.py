@@ -77,6 +77,12 @@ def test_textures_are_in_their_slots(mesh, tmp_path):
     assert material.roughnessFactor == material.metallicFactor == 1
 
 
+@pytest.mark.parametrize("textured", [True, False])
+def test_the_material_has_the_object_s_name(mesh, tmp_path, textured):
+    save_glb(mesh if textured else replace(mesh, textures={}), tmp_path / "asset.glb", name="chair")
+    assert only_geometry(tmp_path / "asset.glb").visual.material.name == "chair"
+
+
 def test_without_textures_the_vertices_carry_linear_colour(mesh, tmp_path):
     save_glb(replace(mesh, textures={}), tmp_path / "asset.glb")
     body = only_geometry(tmp_path / "asset.glb")

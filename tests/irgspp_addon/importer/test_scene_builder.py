@@ -25,6 +25,9 @@ def empty_file():
     bpy.ops.wm.read_homefile(use_empty=True)
 
 
+FOOT = np.float32([0, 0, -1])  # of the unit sphere
+
+
 def test_ply_reader_reads_the_engines_mesh(run_folder):
     elements, mesh = read_ply(run_folder / "mesh.ply"), sphere_run.sphere()
     assert np.array_equal(elements["face"]["vertex_indices"], mesh.faces)
@@ -52,7 +55,7 @@ def test_mesh_is_welded_and_keeps_uvs_normals_and_attributes(run_folder):
     assert np.allclose(normal.reshape(-1, 3), source.normals[corners], atol=1e-3)
     place = np.empty(3 * len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", place)
-    expected = sphere_run.materials(place.reshape(-1, 3))
+    expected = sphere_run.materials(place.reshape(-1, 3) + FOOT)
     for name, key, size, values in [("albedo", "color", 4, expected[0]), ("roughness", "value", 1, expected[1])]:
         stored = np.empty(size * len(mesh.vertices), np.float32)
         mesh.attributes[name].data.foreach_get(key, stored)
@@ -64,7 +67,7 @@ def test_confidence_of_the_mesh_is_an_attribute(run_folder, tmp_path):
     place, stored = np.empty(3 * len(mesh.vertices), np.float32), np.empty(len(mesh.vertices), np.float32)
     mesh.vertices.foreach_get("co", place)
     mesh.attributes["confidence"].data.foreach_get("value", stored)
-    height = 0.5 + 0.5 * place[2::3]
+    height = 0.5 + 0.5 * (place[2::3] + FOOT[2])
     assert np.allclose(stored, height, atol=1e-6)
     colours = np.empty(4 * len(mesh.vertices), np.float32)
     mesh.attributes["material_confidence"].data.foreach_get("color", colours)

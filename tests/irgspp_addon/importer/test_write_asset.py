@@ -49,8 +49,13 @@ def written(run_folder, hulls, tmp_path_factory):
     folder = tmp_path_factory.mktemp("written") / "here"
     shutil.copytree(run_folder / "textures", folder / "ball_textures")
     save_orm(folder / "ball_textures")
-    job = {"run": str(run_folder), "name": "ball", "textures": str(folder / "ball_textures"), "offset": OFFSET.tolist()}
-    job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False}
+    job = {
+        "run": str(run_folder),
+        "name": "ball",
+        "textures": str(folder / "ball_textures"),
+        "matrix": np.array(Matrix.Translation(OFFSET)).tolist(),
+    }
+    job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False, "occlusion": True}
     (folder / "job.json").write_text(json.dumps(job))
     targets = [str(folder / f"ball.{suffix}") for suffix in ("obj", "fbx", "glb", "usdc")]
     assert writing.main([str(folder / "job.json"), *targets]) == 0
@@ -102,6 +107,13 @@ def of_run(run_folder):
     vertex, faces = elements["vertex"], elements["face"]["vertex_indices"].reshape(-1)
     columns = [np.stack([vertex[name] for name in names], -1)[faces] for names in (("x", "y", "z"), ("nx", "ny", "nz"), ("s", "t"))]
     return ordered(columns[0] + OFFSET, *columns[1:])
+
+
+def test_glb_of_blender_reads_occlusion_from_red(written):
+    data = (written / "ball.glb").read_bytes()
+    tree = json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+    material = next(one for one in tree["materials"] if one["name"] == "ball")
+    assert material["occlusionTexture"]["index"] == material["pbrMetallicRoughness"]["metallicRoughnessTexture"]["index"]
 
 
 def test_khronos_validator_finds_nothing(written):
@@ -170,7 +182,7 @@ def look(thing, run_folder, folder) -> np.ndarray:
 def look_of_the_blend(run_folder, tmp_path_factory):
     bpy.ops.wm.read_homefile(use_empty=True)
     thing = import_run(run_folder).mesh
-    thing.matrix_world = Matrix.Translation(OFFSET) @ thing.matrix_world
+    thing.matrix_world = Matrix()
     return look(thing, run_folder, tmp_path_factory.mktemp("blend"))
 
 
@@ -196,12 +208,12 @@ def psnr(image, reference) -> float:
 @pytest.mark.parametrize("suffix", [suffix for suffix in READERS if suffix != "usdz"])
 def test_levels_share_the_material_and_hulls_are_named_for_engines(written, suffix):
     found = reread(written, suffix)
-    assert sorted(found) == ["UCX_ball_00", "UCX_ball_01", "ball_LOD0", "ball_LOD1", "ball_LOD2"]
+    assert sorted(found) == ["UCX_ball_LOD0_00", "UCX_ball_LOD0_01", "ball_LOD0", "ball_LOD1", "ball_LOD2"]
     count = [len(found[f"ball_LOD{i}"].data.polygons) for i in range(3)]
     assert abs(count[1] / count[0] - 0.5) < 0.02 and abs(count[2] / count[0] - 0.25) < 0.02
     assert len({found[f"ball_LOD{i}"].active_material.name for i in range(3)}) == 1
-    assert not found["UCX_ball_00"].data.materials or suffix == "obj"
-    box = np.array([found["UCX_ball_01"].matrix_world @ vertex.co for vertex in found["UCX_ball_01"].data.vertices])
+    assert not found["UCX_ball_LOD0_00"].data.materials or suffix == "obj"
+    box = np.array([found["UCX_ball_LOD0_01"].matrix_world @ vertex.co for vertex in found["UCX_ball_LOD0_01"].data.vertices])
     np.testing.assert_allclose([box.min(0), box.max(0)], [[-1, -1, 0], [0, 0, 1]], atol=1e-5)
 
 
@@ -225,7 +237,7 @@ def test_blend_has_levels_hidden_hulls_and_textures_beside_it(run_folder, hulls,
         made.rename(tmp_path / made.name)
     bpy.ops.wm.open_mainfile(filepath=str(final))
     things = {thing.name: thing for thing in bpy.context.scene.objects if thing.type == "MESH"}
-    assert sorted(things) == ["UCX_sphere_00", "UCX_sphere_01", "sphere_LOD0", "sphere_LOD1", "sphere_LOD2"]
+    assert sorted(things) == ["UCX_sphere_LOD0_00", "UCX_sphere_LOD0_01", "sphere_LOD0", "sphere_LOD1", "sphere_LOD2"]
     assert [name for name, thing in things.items() if thing.visible_get()] == ["sphere_LOD0"]
     assert all(thing.parent == things["sphere_LOD0"].parent for thing in things.values())
     nodes = things["sphere_LOD0"].active_material.node_tree.nodes
@@ -238,8 +250,30 @@ def test_blend_has_levels_hidden_hulls_and_textures_beside_it(run_folder, hulls,
     assert photographs and all(image.size[0] > 0 for image in photographs)  # their links start at the final place
 
 
+def test_turned_and_stretched(run_folder, tmp_path):
+    """Normals stay upright on a surface that a transform stretches."""
+    shutil.copytree(run_folder / "textures", tmp_path / "ball_textures")
+    matrix = Matrix.Diagonal((2, 1, 1, 1)) @ Matrix.Rotation(np.pi / 2, 4, "X")
+    job = {"run": str(run_folder), "name": "ball", "textures": str(tmp_path / "ball_textures"), "matrix": np.array(matrix).tolist()}
+    writing.write_asset({**job, "lods": [], "hulls": None, "pack": False, "occlusion": False}, [tmp_path / "ball.obj"])
+    place, normal, _ = corners(reread(tmp_path, "obj")["ball"])
+    np.testing.assert_allclose([place.reshape(-1, 3).min(0), place.reshape(-1, 3).max(0)], [[-2, -1, -1], [2, 1, 1]], atol=0.01)
+    true = place / [4, 1, 1]  # gradient of the ellipsoid
+    true /= np.linalg.norm(true, axis=-1, keepdims=True)
+    assert np.degrees(np.arccos(np.clip((normal * true).sum(-1), -1, 1))).max() < 1
+
+
 def test_missing_texture_and_unknown_format_are_errors(run_folder, tmp_path):
-    job = {"run": str(run_folder), "name": "a", "textures": str(tmp_path), "offset": [0, 0, 0], "lods": [], "hulls": None, "pack": False}
+    job = {
+        "run": str(run_folder),
+        "name": "a",
+        "textures": str(tmp_path),
+        "matrix": np.eye(4).tolist(),
+        "lods": [],
+        "hulls": None,
+        "pack": False,
+        "occlusion": False,
+    }
     with pytest.raises(InputError, match=r"albedo\.png: is missing"):
         writing.write_asset(job, [tmp_path / "a.obj"])
     with pytest.raises(InputError, match="has no known suffix"):

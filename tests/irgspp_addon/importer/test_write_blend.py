@@ -5,15 +5,21 @@ import shutil
 from pathlib import Path
 
 import bpy
+import numpy as np
 import pytest
 from irgspp.core.assets.blend_file import write_blend
 from irgspp.core.assets.export import export
+from irgspp.core.assets.options import AssetOptions
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.machine import blender_process as blending
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.camera_files import load_run_cameras
+from irgspp.irgspp_addon.importer.cameras import look_through
 from irgspp.irgspp_addon.importer.materials import available_sources, source_of
-from irgspp.irgspp_addon.importer.run_frame import run_object
+from irgspp.irgspp_addon.importer.ply import read_ply
+from irgspp.irgspp_addon.importer.run_frame import frame_of, run_object, scene_camera
 from irgspp.irgspp_addon.importer.run_root import run_of
+from mathutils import Matrix
 
 
 @pytest.fixture(scope="module")
@@ -38,6 +44,58 @@ def test_blend_opens_with_light_cameras_and_packed_textures(blend):
     assert packed == {"albedo.png": True, "roughness.png": True, "metallic.png": True, "normal.png": True, "environment.exr": True} | {
         f"view{i}.png": False for i in range(3)
     }
+
+
+def test_the_object_stands_on_its_foot_and_photographs_still_fit(blend, run_folder):
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    (mesh,) = [thing for thing in scene.objects if thing.type == "MESH"]
+    np.testing.assert_allclose(mesh.matrix_world, np.eye(4), atol=1e-6)
+    low = np.min([mesh.matrix_world @ vertex.co for vertex in mesh.data.vertices], axis=0)
+    assert abs(low[2]) < 1e-6
+    assert_photographs_fit(scene, mesh, run_folder)
+
+
+def assert_photographs_fit(scene, mesh, run_folder):
+    """Check that each camera sees the vertices at the pixels of the run's camera."""
+    vertex = read_ply(run_folder / "mesh.ply")["vertex"]
+    own = np.stack([vertex[axis] for axis in "xyz"], -1)[::37].astype(float)
+    frame = frame_of(mesh)
+    for record in load_run_cameras(run_folder / "cameras.json"):
+        placed = scene.objects[f"{record.split} {record.name}"]
+        look_through(scene, placed)
+        size = scene.render.resolution_x, scene.render.resolution_y
+        depsgraph = bpy.context.evaluated_depsgraph_get()
+        seen = scene_camera(scene, depsgraph, *size, frame)
+        in_world = own @ frame.matrix[:3, :3].T + frame.matrix[:3, 3]
+        np.testing.assert_allclose(seen.project(in_world)[0], record.camera.project(own)[0], atol=0.02)
+
+
+def test_one_camera_is_shown_and_views_look_at_the_object(blend):
+    bpy.ops.wm.open_mainfile(filepath=str(blend))
+    scene = bpy.context.scene
+    assert [thing.name for thing in scene.objects if thing.type == "CAMERA" and not thing.hide_viewport] == [scene.camera.name]
+    views = [area.spaces.active for screen in bpy.data.screens for area in screen.areas if area.type == "VIEW_3D"]
+    assert views and all(np.allclose(view.region_3d.view_location, (0, 0, 1), atol=0.01) for view in views)
+
+
+def test_turned_and_scaled_with_its_cameras_and_light(run_folder, tmp_path):
+    turn = 2 * np.array(Matrix.Rotation(np.pi / 2, 3, "X"))
+    write_blend(run_folder, tmp_path / "a.blend", "textures", Silent(), ["--transform=" + ",".join(map(str, turn.reshape(-1)))])
+    bpy.ops.wm.open_mainfile(filepath=str(tmp_path / "a.blend"))
+    scene = bpy.context.scene
+    (mesh,) = [thing for thing in scene.objects if thing.type == "MESH"]
+    low = np.min([mesh.matrix_world @ vertex.co for vertex in mesh.data.vertices], axis=0)
+    np.testing.assert_allclose(low, [-2, -2, 0], atol=0.02)
+    assert_photographs_fit(scene, mesh, run_folder)
+    mapping = next(node for node in scene.world.node_tree.nodes if node.bl_idname == "ShaderNodeMapping")
+    np.testing.assert_allclose(mapping.inputs["Rotation"].default_value, [-np.pi / 2, 0, 0], atol=1e-5)
+
+
+@pytest.mark.parametrize(("transform", "words"), [((1, 0, 0, 0, 2, 0, 0, 0, 1), "stretches"), ((-1, 0, 0, 0, 1, 0, 0, 0, 1), "mirrors")])
+def test_what_a_blend_can_not_be(run_folder, tmp_path, transform, words):
+    with pytest.raises(InputError, match=words):
+        export(run_folder, tmp_path / "a.blend", options=AssetOptions(transform=transform))
 
 
 def test_paths_are_relative_and_lead_to_the_files(blend):
