@@ -22,6 +22,8 @@ class MaterialClass:
         quaternion: learning rate. A reflection turns twice as fast as the normal, so that a metal's normals need a low rate; a matt
             surface gains little from moving and becomes noisy if it does.
         log_scale: learning rate.
+        schedule: length of the schedule as a multiple of the settings'. Reflections find a metal's normals slowly; it takes no time for
+            stereo instead.
     """
 
     name: str
@@ -30,6 +32,7 @@ class MaterialClass:
     position: float
     quaternion: float
     log_scale: float
+    schedule: float = 1.0
 
     def rates(self, radius: float) -> dict[str, Rate]:
         """Return the learning rates by parameter for a scene of this radius in world units."""
@@ -49,7 +52,7 @@ class MaterialClass:
 # Material, then the rates of position, quaternion and log scale:
 LOW_GLOSS = MaterialClass("low-gloss", False, (0.5, 0.5, 0.5, 0.5, 0.02), 8e-4, 5e-4, 6e-3)
 GLOSSY = MaterialClass("glossy", True, (0.5, 0.5, 0.5, 0.4, 0.1), 1.5e-3, 2e-3, 1e-2)
-METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2)
+METAL = MaterialClass("metal", True, (0.7, 0.7, 0.7, 0.25, 0.95), 1.2e-3, 5e-4, 1e-2, schedule=2.0)
 MATERIAL_CLASSES = (LOW_GLOSS, GLOSSY, METAL)  # from the least to the most reflecting
 
 

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import torch
 
@@ -13,7 +15,7 @@ from ...scene.reconstruction import Reconstruction
 from ...settings.schema import Settings
 from ..common.preview import points_shape
 from ..common.skip_rules import decide_skip_rule
-from ..common.time_budget import first_stage_largest_scale, first_stage_schedule_scale, scale_schedule
+from ..common.time_budget import first_stage_largest_scale, first_stage_schedule_scale, scale_schedule, scaled_iterations
 from ..common.training_view import object_box
 from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
@@ -84,7 +86,9 @@ def train(
         progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
-    trainer = _trainer(dataset, settings, start, material_class, crop=crop, resident=resident)
+    # A deadline tells the length of the schedule.
+    schedule = scaled_iterations(1.0 if deadline is not None else material_class.schedule, settings.first.iterations)
+    trainer = _trainer(dataset, settings, schedule, start, material_class, crop=crop, resident=resident)
     if state is not None:
         trainer.restore(state)
     elif deadline is not None:
@@ -97,11 +101,13 @@ def train(
     return result, trainer.settings.iterations / settings.first.iterations
 
 
-def _trainer(dataset: Dataset, settings: Settings, start: Start, material_class: MaterialClass, *, crop: bool, resident: bool) -> Trainer:
-    """Return the trainer of a whole schedule, from which one view is held back where there are enough."""
+def _trainer(
+    dataset: Dataset, settings: Settings, iterations: int, start: Start, material_class: MaterialClass, *, crop: bool, resident: bool
+) -> Trainer:
+    """Return the trainer of a schedule of so many steps, from which one view is held back where there are enough."""
     return Trainer(
         dataset,
-        settings.first,
+        replace(settings.first, iterations=iterations),
         start.gaussians,
         material_class,
         settings.seed,

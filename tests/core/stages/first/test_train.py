@@ -319,3 +319,9 @@ def test_first_part_of_the_schedule_renders_single_rays(sphere_dataset, camera_r
     for _ in range(5):
         trainer.step()
     assert rays[tests:] == [1, 1, 2, 2, 2]
+
+
+@pytest.mark.parametrize(("material_class", "scale"), [(LOW_GLOSS, 1), (METAL, 2)])
+def test_metal_takes_a_longer_schedule(sphere_dataset, camera_ring, monkeypatch, material_class, scale):
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *args: material_class)
+    assert train(sphere_dataset(camera_ring(9, 32)), settings("first.iterations=6"))[1] == scale
