@@ -11,8 +11,9 @@ from typing import Any
 import bpy
 
 from ..irgspp_addon import properties, translations
+from ..irgspp_addon.comparison import photograph, split
 from ..irgspp_addon.engine.process import run_engine
-from ..irgspp_addon.importer import confidence_view, displacement, materials, moved_project, photograph_comparison
+from ..irgspp_addon.importer import confidence_view, displacement, materials, moved_project
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import timer as job_timer
 from ..irgspp_addon.preferences_page import IRGSPP_Preferences
@@ -78,7 +79,8 @@ def register() -> None:
     materials.register()
     confidence_view.register()
     displacement.register()
-    photograph_comparison.register()
+    photograph.register()
+    split.register()
     moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
@@ -116,7 +118,8 @@ def unregister() -> None:
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
     moved_project.unregister()
-    photograph_comparison.unregister()
+    split.unregister()
+    photograph.unregister()
     displacement.unregister()
     confidence_view.unregister()
     materials.unregister()
