@@ -100,6 +100,9 @@ TEXTS: dict[str, str] = {
     "What is inside the sphere {name} is reconstructed.": "Was in der Kugel {name} ist, wird rekonstruiert.",
     "Resume goes on with the object that the run began with.": "Fortsetzen macht mit dem Objekt weiter, mit dem der Lauf begann.",
     "On the CPU: {estimate}.": "Auf der CPU: {estimate}.",
+    "On the CPU, with the search for cameras: {estimate}.": "Auf der CPU, mit der Suche nach Kameras: {estimate}.",
+    "{card} will be used; the estimate is for the processor.": "{card} wird verwendet; die Schätzung gilt für den Prozessor.",
+    "A graphics card": "Eine Grafikkarte",
     # Jobs
     "Jobs": "Aufträge",
     "No jobs yet.": "Noch keine Aufträge.",
