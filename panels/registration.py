@@ -22,7 +22,7 @@ from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
 from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
-from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light, true_size
+from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light, shadow_catcher, true_size
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import jobs as job_operators
@@ -52,6 +52,7 @@ CLASSES = (
     *look_through.CLASSES,
     *light.CLASSES,
     *rotate_light.CLASSES,
+    *shadow_catcher.CLASSES,
     *asset_mark.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,

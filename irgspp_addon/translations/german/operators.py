@@ -182,12 +182,6 @@ TEXTS: dict[str, str] = {
     ),
     "Look Through Camera": "Durch Kamera blicken",
     "Next Photograph": "Nächstes Foto",
-    "Show the result under the view transform Standard, in whose colours it can be compared with a photograph": (
-        "Zeigt das Ergebnis unter der Ansichtstransformation Standard, in deren Farben es mit einem Foto verglichen werden kann"
-    ),
-    "Compare under Standard": "Unter Standard vergleichen",
-    "Restore": "Wiederherstellen",
-    "Choose the view settings from before the comparison again": "Wählt wieder die Ansichtseinstellungen von vor dem Vergleich",
     "Name of an imported camera. Empty: the active object": "Name einer importierten Kamera. Leer: das aktive Objekt",
     "Step": "Schritt",
     "Photographs to go on by; negative: back": "Fotos, um die weitergegangen wird; negativ: zurück",

@@ -237,4 +237,21 @@ TEXTS: dict[str, str] = {
     "The object is not in this scene.": "Das Objekt ist nicht in dieser Szene.",
     "Mark as Asset": "Als Asset markieren",
     "Change Asset": "Asset ändern",
+    # Comparison, and its operator
+    "Show the result under the view transform Standard, in whose colours it can be compared with a photograph": (
+        "Zeigt das Ergebnis unter der Ansichtstransformation Standard, in deren Farben es mit einem Foto verglichen werden kann"
+    ),
+    "Compare under Standard": "Unter Standard vergleichen",
+    "Restore": "Wiederherstellen",
+    "Choose the view settings from before the comparison again": "Wählt wieder die Ansichtseinstellungen von vor dem Vergleich",
+    # Shadow catcher, and its operator
+    "Add an invisible level plane under the object's foot that catches its shadow, in IRGS++ and in Cycles": (
+        "Fügt unter dem Fuß des Objekts eine unsichtbare waagerechte Ebene hinzu, die seinen Schatten auffängt, in IRGS++ und in Cycles"
+    ),
+    "Add Shadow-Catcher Plane": "Schattenfänger-Ebene hinzufügen",
+    "Remove the plane": "Die Ebene entfernen",
+    "Remove Shadow-Catcher Plane": "Schattenfänger-Ebene entfernen",
+    "EEVEE renders the plane itself: only IRGS++ and Cycles know shadow catchers.": (
+        "EEVEE rendert die Ebene selbst: Nur IRGS++ und Cycles kennen Schattenfänger."
+    ),
 }
