@@ -66,6 +66,11 @@ NORMAL_MAPS = [
     ("directx", "DirectX", "Green is down, as in Unreal Engine; .fbx and .obj only"),
 ]
 
+COMPARISONS = [
+    ("split", "Split", "The photograph on the left of a border, the result on the right", 0),
+    ("fade", "Fade", "The photograph fades over the result", 1),
+]
+
 Definition = dict[str, Any]  # arguments of a function of `bpy.props`
 
 PRESET: Definition = {
@@ -172,4 +177,25 @@ USE_LAMPS: Definition = {
     "name": "Lamps",
     "description": "Sun, point, spot and area lamps of the scene light the object as well",
     "default": True,
+}
+COMPARISON: Definition = {
+    "name": "Comparison",
+    "description": "How photograph and result are compared, seen through the photograph's camera",
+    "items": COMPARISONS,
+    "default": "split",
+}
+BORDER: Definition = {
+    "name": "Border",
+    "description": "Place of the border between photograph and result: 0 shows the result alone, 1 the photograph",
+    "subtype": "FACTOR",
+    "default": 0.0,
+    "min": 0.0,
+    "max": 1.0,
+}
+OPACITY: Definition = {
+    "name": "Photograph over Object",
+    "description": "Opacity of the photograph in front of the object, seen through its camera: 0 shows the object, 1 the photograph",
+    "subtype": "FACTOR",
+    "min": 0.0,
+    "max": 1.0,
 }

@@ -12,7 +12,7 @@ from bpy.props import BoolProperty, StringProperty
 from ..core.errors import InputError, IrgsppError
 from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.dataset_import import build_dataset, checked, export_arguments, export_folder, is_fresh
-from ..irgspp_addon.importer.photographs import find_bare_photographs, problem_of
+from ..irgspp_addon.importer.photographs import problem_of
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import result_import
 from ..irgspp_addon.jobs.job import Job
@@ -53,13 +53,13 @@ class IRGSPP_OT_inspect_dataset(Queued, bpy.types.Operator):
 
 
 def inspect_chosen(scene: bpy.types.Scene) -> Job | None:
-    """Inspect photographs with cameras as soon as they are chosen; return the job, None where there is nothing to inspect.
+    """Inspect photographs as soon as they are chosen; return the job, None where there is nothing to inspect.
 
     Args:
         scene: in whose panel they are chosen.
     """
     dataset = scene.irgspp.dataset_path()
-    if dataset is None or not engine.status().usable or problem_of(dataset) or find_bare_photographs(dataset) is not None:
+    if dataset is None or not engine.status().usable or problem_of(dataset):
         return None
     data = {**result_import.place_of(scene), "dataset": str(dataset.resolve())}
     for job in jobs.all_jobs():

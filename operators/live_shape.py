@@ -3,7 +3,10 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
+from bpy.app.handlers import persistent  # pyright: ignore[reportMissingImports]
 
 from ..irgspp_addon.importer.arrangement import end_hiding, hide_default_objects
 from ..irgspp_addon.importer.live_shape import SHAPE, remove_live_shape, show_live_shape
@@ -15,6 +18,7 @@ from ..irgspp_addon.windows import redraw, show_selected
 from .import_run import select
 
 SECONDS = 1.0  # between two looks at the jobs' folders
+NOTHING = -1  # time stamp of no file
 KINDS = ("reconstruct", "demo")
 
 _shown: dict[str, int] = {}  # by job: time stamp of the file that is shown, nanoseconds
@@ -60,6 +64,14 @@ def _show(job: Job, scene: bpy.types.Scene) -> None:
     redraw("VIEW_3D")
 
 
+@persistent
+def _undone(*_: Any) -> None:
+    """Look at all jobs anew: the step that was restored may lack the shape, or have that of a job which has ended since."""
+    _ended.clear()
+    for job in _shown:
+        _shown[job] = NOTHING
+
+
 def _tick() -> float:
     if not bpy.app.is_job_running("RENDER"):  # Blender may crash when objects change while it renders
         for job in jobs.all_jobs():
@@ -68,13 +80,17 @@ def _tick() -> float:
 
 
 def register() -> None:
-    """Start the timer, which runs only with a window."""
+    """Start the timer, which runs only with a window, and follow undo and redo."""
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.append(_undone)
     if not bpy.app.background:
         bpy.app.timers.register(_tick, first_interval=SECONDS, persistent=True)
 
 
 def unregister() -> None:
     """Stop the timer and forget the jobs."""
+    for handlers in (bpy.app.handlers.undo_post, bpy.app.handlers.redo_post):
+        handlers.remove(_undone)
     if bpy.app.timers.is_registered(_tick):
         bpy.app.timers.unregister(_tick)
     _shown.clear()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that look through the cameras of photographs, one after the other, and that show or hide these cameras."""
+"""Operators of cameras of photographs: look through them, show or hide them, and compare the object under comparable colours."""
 
 # pyright: reportInvalidTypeForm=false
 
@@ -7,11 +7,13 @@ import bpy
 from bpy.props import BoolProperty, IntProperty, StringProperty
 
 from ..core.errors import InputError
+from ..irgspp_addon.comparison import view_colours
+from ..irgspp_addon.comparison.photograph import fade, opacity
 from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, show_alone, show_cameras
 from ..irgspp_addon.importer.cameras import look_through
-from ..irgspp_addon.importer.photograph_comparison import fade, opacity
 from ..irgspp_addon.importer.run_root import run_of
 from ..irgspp_addon.translations import translated
+from ..irgspp_addon.windows import show_world
 from .blocking import refusing
 
 
@@ -75,6 +77,27 @@ class IRGSPP_OT_show_cameras(bpy.types.Operator):
         return {"FINISHED"}
 
 
+class IRGSPP_OT_comparison_colours(bpy.types.Operator):
+    """Show the result under the view transform Standard, in whose colours it can be compared with a photograph."""
+
+    bl_idname = "irgspp.comparison_colours"
+    bl_label = "Compare under Standard"
+    bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
+
+    restore: BoolProperty(
+        name="Restore", description="Choose the view settings from before the comparison again", default=False, options={"SKIP_SAVE"}
+    )
+
+    def execute(self, context: bpy.types.Context) -> set[str]:
+        """Choose the view settings."""
+        if self.restore:
+            view_colours.restore(context.scene)
+        else:
+            view_colours.make_plain(context.scene)
+            show_world(context.scene)  # Blender's studio light is not the photograph's
+        return {"FINISHED"}
+
+
 def cameras_to_step(context: bpy.types.Context) -> list[bpy.types.Object]:
     """Return the cameras that the steps go through: those of the present camera's or the active object's run, else all."""
     cameras = cameras_in(context.scene)
@@ -94,4 +117,4 @@ def _look(context: bpy.types.Context, camera: bpy.types.Object) -> None:
         space.region_3d.view_perspective = "CAMERA"
 
 
-CLASSES = (IRGSPP_OT_look_through, IRGSPP_OT_step_photograph, IRGSPP_OT_show_cameras)
+CLASSES = (IRGSPP_OT_look_through, IRGSPP_OT_step_photograph, IRGSPP_OT_show_cameras, IRGSPP_OT_comparison_colours)

@@ -16,6 +16,7 @@ from ..irgspp_addon.properties import beside
 from ..irgspp_addon.translations import translated
 from .capture_state import capture_of
 from .job_card import draw_last
+from .photographs import parsed
 from .run_state import resolved
 from .sidebar import button, say, settings_column
 
@@ -40,6 +41,8 @@ def draw_find_cameras(layout: bpy.types.UILayout, context: bpy.types.Context, da
     column.scale_y = 1.3
     column.enabled = engine.status().usable
     button(column, "irgspp.capture", "Find Cameras", "CAMERA_DATA", directory=str(dataset))
+    if expected := parsed(context.scene.irgspp.inspected).get("capture"):
+        say(layout, context, translated("On the CPU: {estimate}.", estimate=expected["text"]), icon="TIME")
     place = resolved(dataset) or dataset
     draw_last(layout, context, "capture", place if capture else beside(place, "_capture"))
 

@@ -151,15 +151,15 @@ def draw_summary(layout: bpy.types.UILayout, context: bpy.types.Context, inspect
         inspected: summary as JSON; empty without one.
     """
     facts = parsed(inspected)
-    if not facts:
+    rows = [(name, text) for name, text in facts.get("rows", ()) if name in SHOWN]
+    if not rows and not facts.get("warnings"):
         return
     box = layout.box()
     column = box.column(align=True)
-    for name, text in facts["rows"]:
-        if name in SHOWN:
-            row = column.split(factor=0.27)
-            say(row, context, name.capitalize())
-            say(row, context, text, width=0.73)
+    for name, text in rows:
+        row = column.split(factor=0.27)
+        say(row, context, name.capitalize())
+        say(row, context, text, width=0.73)
     for warning in facts["warnings"]:
         say(box, context, warning, icon="ERROR")
 

@@ -3,8 +3,11 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import bpy
 
+from ..irgspp_addon.engine import process as engine
 from ..irgspp_addon.importer.object_sphere import cut_settings, find_sphere, is_changed
 from ..irgspp_addon.jobs.job import Job
 from ..irgspp_addon.translations import translated
@@ -112,16 +115,34 @@ def draw_sphere(layout: bpy.types.UILayout, context: bpy.types.Context, stopped:
 
 
 def draw_estimate(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw how long the job will take, where the photographs have been inspected and the time is known.
+    """Draw how long the job will take on the CPU, where the photographs have been inspected and the time is known.
 
     Args:
         layout: to draw into.
         context: of the panel.
     """
     settings = context.scene.irgspp
-    job = parsed(settings.inspected).get("jobs", {}).get(settings.preset)
-    if job and settings.device != "cuda":
-        say(layout, context, translated("On the CPU: {estimate}.", estimate=job["text"]), icon="TIME")
+    facts = parsed(settings.inspected)
+    job = facts.get("jobs", {}).get(settings.preset)
+    if not job:
+        return
+    text = "On the CPU, with the search for cameras: {estimate}." if "capture" in facts else "On the CPU: {estimate}."
+    say(layout, context, translated(text, estimate=job["text"]), icon="TIME")
+    if card := graphics_card(settings.device, engine.status().devices):
+        say(layout, context, translated("{card} will be used; the estimate is for the processor.", card=card), icon="BLANK1")
+
+
+def graphics_card(device: str, devices: dict[str, Any]) -> str:
+    """Return the name of the graphics card that a job will run on; "" where it runs on the processor, or that is not known.
+
+    Args:
+        device: that is chosen, "auto", "cpu" or "cuda".
+        devices: answer of `irgspp devices --json`; empty if the engine was not asked.
+    """
+    cards = devices.get("cuda", []) if "cuda can be used" in devices.get("notes", ()) else []
+    if device == "cpu" or not (cards or device == "cuda"):
+        return ""
+    return cards[0]["name"] if cards else translated("A graphics card")
 
 
 CLASSES = (IRGSPP_PT_reconstruct, IRGSPP_PT_reconstruct_more)

@@ -11,8 +11,9 @@ from typing import Any
 import bpy
 
 from ..irgspp_addon import properties, translations
+from ..irgspp_addon.comparison import photograph, split
 from ..irgspp_addon.engine.process import run_engine
-from ..irgspp_addon.importer import confidence_view, displacement, materials, moved_project, photograph_comparison
+from ..irgspp_addon.importer import confidence_view, displacement, materials, moved_project
 from ..irgspp_addon.jobs import queue as jobs
 from ..irgspp_addon.jobs import timer as job_timer
 from ..irgspp_addon.preferences_page import IRGSPP_Preferences
@@ -21,7 +22,7 @@ from ..irgspp_addon.relight import live_image as relight_follow
 from ..irgspp_addon.relight import session as relight_session
 from ..irgspp_addon.world import hdri_library
 from ..operators import animation as animation_operators
-from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light, true_size
+from ..operators import asset_mark, import_dataset, light, live_shape, look_through, masks, rotate_light, shadow_catcher, true_size
 from ..operators import capture as capture_operators
 from ..operators import engine as engine_operators
 from ..operators import jobs as job_operators
@@ -51,6 +52,7 @@ CLASSES = (
     *look_through.CLASSES,
     *light.CLASSES,
     *rotate_light.CLASSES,
+    *shadow_catcher.CLASSES,
     *asset_mark.CLASSES,
     *import_dataset.CLASSES,
     *capture_operators.CLASSES,
@@ -78,7 +80,8 @@ def register() -> None:
     materials.register()
     confidence_view.register()
     displacement.register()
-    photograph_comparison.register()
+    photograph.register()
+    split.register()
     moved_project.register()
     jobs.CHANGED.append(properties.show_jobs)
     job_timer.register()
@@ -118,7 +121,8 @@ def unregister() -> None:
     job_timer.unregister()
     jobs.CHANGED.remove(properties.show_jobs)
     moved_project.unregister()
-    photograph_comparison.unregister()
+    split.unregister()
+    photograph.unregister()
     displacement.unregister()
     confidence_view.unregister()
     materials.unregister()

@@ -9,6 +9,7 @@ from ..irgspp_addon.importer.run_frame import ALBEDO_SCALE
 from ..irgspp_addon.importer.run_root import recovered_light
 from ..irgspp_addon.relight import preview
 from ..irgspp_addon.relight.animation import animation
+from ..irgspp_addon.relight.ground import added_plane
 from ..irgspp_addon.relight.left_out import left_out
 from ..irgspp_addon.relight.live_image import follower_of
 from ..irgspp_addon.relight.render_engine import ENGINE
@@ -46,6 +47,7 @@ class IRGSPP_PT_relight(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         column = settings_column(layout)
         for name in OPTIONS:
             column.prop(settings, name)
+        draw_shadow_catcher(layout, context)
         thing = object_of_run(context.scene, shown_run(context))
         if thing is not None and ALBEDO_SCALE in thing:  # imports of older versions lack it
             column.prop(thing, f'["{ALBEDO_SCALE}"]', text="Albedo Scale")
@@ -138,6 +140,21 @@ def draw_light(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
         rows.prop(controls.colour, "default_value", text="Colour")
     if controls.strength is not None:
         rows.prop(controls.strength, "default_value", text="Strength")
+
+
+def draw_shadow_catcher(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the button that adds or removes the plane that catches the object's shadow, and what EEVEE makes of it.
+
+    Args:
+        layout: to draw into.
+        context: of the panel.
+    """
+    if added_plane(context.scene) is None:
+        button(layout, "irgspp.shadow_catcher", "Add Shadow-Catcher Plane", "MESH_PLANE", run=str(shown_run(context)))
+        return
+    button(layout, "irgspp.shadow_catcher", "Remove Shadow-Catcher Plane", "X", remove=True)
+    if context.scene.render.engine.startswith("BLENDER_EEVEE"):
+        say(layout, context, "EEVEE renders the plane itself: only IRGS++ and Cycles know shadow catchers.", icon="INFO")
 
 
 def draw_preview(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:

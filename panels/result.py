@@ -7,11 +7,12 @@ from pathlib import Path
 
 import bpy
 
+from ..irgspp_addon.comparison import view_colours
+from ..irgspp_addon.comparison.photograph import shown_photograph
 from ..irgspp_addon.importer.arrangement import camera_label, cameras_shown, is_imported_camera
 from ..irgspp_addon.importer.confidence_view import has_confidence
 from ..irgspp_addon.importer.displacement import has_displacement
 from ..irgspp_addon.importer.materials import available_sources
-from ..irgspp_addon.importer.photograph_comparison import shown_photograph
 from ..irgspp_addon.shared_properties import TEXTURE_SIZES
 from ..irgspp_addon.translations import translated
 from .asset_words import faces_text, mesh_text, size_text, texture_text
@@ -153,7 +154,7 @@ def draw_texture_sizes(layout: bpy.types.UILayout, run: Path, state: RunState) -
 
 
 def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
-    """Draw the buttons that look through the cameras one after the other, the photograph's slider, and the switch that shows the cameras.
+    """Draw the buttons that look through the cameras one after the other, the comparison, and the switch that shows the cameras.
 
     Args:
         layout: to draw into.
@@ -168,8 +169,26 @@ def draw_cameras(layout: bpy.types.UILayout, context: bpy.types.Context) -> None
     button(row, "irgspp.step_photograph", camera_label(through) if through else "Photographs", step=1)
     button(row, "irgspp.step_photograph", "", "TRIA_RIGHT", step=1)
     if photograph is not None:
-        layout.prop(context.scene, "irgspp_photograph", text="Photograph", slider=True)
+        draw_comparison(layout, context)
     button(layout, "irgspp.show_cameras", "Hide Cameras" if shown else "Show Cameras", "CAMERA_DATA", show=not shown)
+
+
+def draw_comparison(layout: bpy.types.UILayout, context: bpy.types.Context) -> None:
+    """Draw the slider between photograph and result, and the button that makes their colours comparable.
+
+    Args:
+        layout: to draw into.
+        context: of the panel, whose scene is seen through a photograph's camera.
+    """
+    scene = context.scene
+    layout.row().prop(scene, "irgspp_comparison", expand=True)
+    layout.prop(scene, "irgspp_border" if scene.irgspp_comparison == "split" else "irgspp_photograph", text="Photograph", slider=True)
+    if before := view_colours.kept_transform(scene):
+        button(layout, "irgspp.comparison_colours", translated("Restore {view}", view=before), "LOOP_BACK", restore=True)
+    elif not view_colours.are_plain(scene):
+        text = translated("{view} changes the colours of the result, not of the photograph.", view=scene.view_settings.view_transform)
+        say(layout, context, text, icon="INFO")
+        button(layout, "irgspp.comparison_colours", "Compare under Standard", "COLOR")
 
 
 def draw_files(layout: bpy.types.UILayout, run: Path) -> None:

@@ -49,10 +49,12 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal: receives the progress.
     """
     with quick_imports():
-        from ..capture.source import posed_dataset
+        from ..capture.source import needs_capture, posed_dataset
         from ..datasets.load import load_dataset
         from ..datasets.summary import describe, summary
 
+    if args.export is None and needs_capture(args.dataset):
+        return inspect_photographs(args)
     settings = with_overrides(Settings(), args.set).data
     data = load_dataset(posed_dataset(args.dataset), settings, terminal)
     if args.export is not None:
@@ -62,6 +64,16 @@ def inspect(args: argparse.Namespace, terminal: Terminal) -> int:
         save_dataset(data, settings, args.export, terminal)
     terminal.end_line()
     print(json.dumps(summary(data)) if args.json else describe(data))
+    return 0
+
+
+def inspect_photographs(args: argparse.Namespace) -> int:
+    """Print what is known about photographs without cameras, with the time that finding them takes; arguments as of `inspect`."""
+    with quick_imports():
+        from ..capture.expected_work import describe_photographs, summarize_photographs
+
+    found = summarize_photographs(args.dataset, with_overrides(Settings(), args.set))
+    print(json.dumps(found) if args.json else describe_photographs(found))
     return 0
 
 

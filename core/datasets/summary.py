@@ -20,7 +20,7 @@ SHOWN = 5  # lines of one kind before the rest is only counted
 
 def describe(dataset: Dataset) -> str:
     """Format a dataset's summary as a table: format, views, sizes, cameras, points, masks, object's bound, warnings."""
-    return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset, _jobs(dataset)))
+    return "\n".join(f"{name:<10}{text}" for name, text in _rows(dataset, estimate_jobs(dataset)))
 
 
 def summary(dataset: Dataset) -> dict[str, Any]:
@@ -36,7 +36,7 @@ def summary(dataset: Dataset) -> dict[str, Any]:
     """
     views = [*dataset.train, *dataset.test]
     masks = [v.alpha for v in dataset.train if v.alpha is not None]
-    jobs = _jobs(dataset)
+    jobs = estimate_jobs(dataset)
     return {
         "path": str(dataset.path),
         "format": dataset.format,
@@ -78,18 +78,22 @@ def _rows(dataset: Dataset, jobs: dict[str, dict[str, Any]]) -> list[tuple[str, 
     ]
 
 
-def _jobs(dataset: Dataset) -> dict[str, dict[str, Any]]:
-    """Estimate time and memory of a reconstruction on the CPU with each preset whose time is known."""
+def estimate_jobs(dataset: Dataset) -> dict[str, dict[str, Any]]:
+    """Estimate a reconstruction on the CPU with each preset whose time is known: by preset, the values of `job_in_words`."""
     jobs = {}
     for name, settings in PRESETS.items():
         sized = with_texture_size(settings, size_by_pixels(settings, dataset).size)
         seconds = estimate_seconds(sized, dataset)
         if seconds is not None:
             sized = with_sizes(sized, dataset.object_pixels if dataset.has_alpha else None)
-            memory = estimate_memory(sized, dataset.pixels())
-            text = f"about {in_words(seconds)}, {memory / 2**30:.1f} GiB of memory"
-            jobs[name] = {"seconds": round(seconds), "memory": memory, "text": text}
+            jobs[name] = job_in_words(seconds, estimate_memory(sized, dataset.pixels()))
     return jobs
+
+
+def job_in_words(seconds: float, memory: int) -> dict[str, Any]:
+    """Return a job's seconds, its memory in bytes, and both as text."""
+    text = f"about {in_words(seconds)}, {memory / 2**30:.1f} GiB of memory"
+    return {"seconds": round(seconds), "memory": memory, "text": text}
 
 
 def _sizes(views: list[View]) -> str:

@@ -48,7 +48,16 @@ def estimate_seconds(settings: Settings, data: Dataset) -> float | None:
         settings: of the job, its schedules scaled (`paced`).
         data: the photographs at the resolution of the settings, or at a higher one.
     """
-    return reference_seconds(settings, data) * _correction() if _is_known(settings) else None
+    return corrected_seconds(reference_seconds(settings, data)) if _is_known(settings) else None
+
+
+def corrected_seconds(reference: float) -> float:
+    """Return a duration on this machine, by the jobs that it has done.
+
+    Args:
+        reference: seconds on the machine of the constants above.
+    """
+    return reference * _correction()
 
 
 def reference_seconds(settings: Settings, data: Dataset) -> float:

@@ -12,6 +12,7 @@ sys.path.insert(0, os.path.dirname(os.path.abspath(__file__)))
 
 import bpy
 import browsing
+import comparison
 import driver
 import preview
 import timing
@@ -30,7 +31,7 @@ def story() -> Iterator[float]:
     with driver.override():
         bpy.ops.irgspp.import_run("INVOKE_DEFAULT", directory=str(run))
     yield from driver.wait(lambda: bpy.context.object and bpy.context.object.type == "MESH", 60)
-    yield from fade_photograph()
+    yield from compare_photograph()
     bpy.context.scene.irgspp.preview_resolution = 192
     yield from start_preview()
     yield from choose_thumbnail()
@@ -42,16 +43,28 @@ def story() -> Iterator[float]:
     shutil.rmtree(work, ignore_errors=True)
 
 
-def fade_photograph() -> Iterator[float]:
-    """Look through a photograph's camera, with the photograph half over the object."""
-    thing = bpy.context.object
+def compare_photograph() -> Iterator[float]:
+    """Compare object and photograph through its camera: split under Standard, at the photograph's own colours, then faded."""
+    thing, scene = bpy.context.object, bpy.context.scene
     yield 15.0  # shaders are compiled
     yield from browsing.press_button("irgspp.step_photograph", across=0.5)
-    yield from driver.wait(lambda: bpy.context.scene.camera.name != "Camera", 5)
-    bpy.context.scene.irgspp_photograph = 0.5
+    yield from driver.wait(lambda: scene.camera.name != "Camera", 5)
+    with driver.override():
+        bpy.ops.view3d.view_center_camera()
+    scene.irgspp_border = 0.5
+    yield 2.0
+    driver.shot("70_split_under_agx")
+    yield from browsing.press_button("irgspp.comparison_colours")
+    assert scene.view_settings.view_transform == "Standard", scene.view_settings.view_transform
+    yield 2.0
+    comparison.check_left_half(driver.shot("70_split"))
+    scene.irgspp_comparison = "fade"
+    scene.irgspp_photograph = 0.5
     yield 2.0
     driver.shot("70_photograph_over_object")
-    bpy.context.scene.irgspp_photograph = 0.0
+    scene.irgspp_photograph, scene.irgspp_comparison, scene.irgspp_border = 0.0, "split", 0.0
+    yield from browsing.press_button("irgspp.comparison_colours", part="restore=True")
+    assert scene.view_settings.view_transform != "Standard"
     space = driver.view3d().spaces[0]
     space.region_3d.view_perspective, space.shading.type = "PERSP", "SOLID"
     bpy.context.view_layer.objects.active = thing

@@ -235,3 +235,44 @@ def test_what_is_being_edited_stays(scene, tmp_path):
     assert show_live_shape(tmp_path, scene) is None
     bpy.ops.object.mode_set(mode="OBJECT")
     assert show_live_shape(tmp_path, scene) is not None
+
+
+def undo_to(message: str, scene_name: str):
+    """Undo one step and return the scene, since earlier references are dead."""
+    assert bpy.ops.ed.undo() == {"FINISHED"}, message
+    return bpy.data.scenes[scene_name]
+
+
+def test_undo_while_a_job_runs_loses_and_doubles_nothing(scene, tmp_path):
+    name, job = scene.name, job_of(tmp_path, scene)
+    bpy.ops.ed.undo_push(message="before")
+    write(tmp_path)
+    live_shape.follow(job)
+    bpy.ops.ed.undo_push(message="with points")
+    write(tmp_path, faces=FACES)
+    os.utime(tmp_path / SHAPE, (time.time() + 5, time.time() + 5))
+    live_shape.follow(job)
+    bpy.ops.ed.undo_push(message="with the surface")
+    for _ in range(2):
+        scene = undo_to("job", name)
+        live_shape.follow(job)  # the restored step had points, or nothing
+        (surface,) = shown(tmp_path)
+        assert len(surface.data.polygons) == 4 and surface.name in scene.objects
+    bpy.ops.ed.redo()
+    live_shape.follow(job)
+    assert len(shown(tmp_path)) == 1
+
+
+def test_undo_after_a_job_does_not_bring_its_shape_back(scene, tmp_path):
+    job = job_of(tmp_path, scene)
+    write(tmp_path)
+    live_shape.follow(job)
+    bpy.ops.ed.undo_push(message="running")
+    job.state = "cancelled"
+    live_shape.follow(job)
+    assert not shown(tmp_path)
+    bpy.ops.ed.undo_push(message="ended")
+    bpy.ops.ed.undo()
+    assert shown(tmp_path)  # Blender restores the step of the running job
+    live_shape.follow(job)
+    assert not shown(tmp_path)

@@ -47,6 +47,7 @@ def test_the_photograph_fades_over_the_object(extension, run_folder):
     scene = bpy.context.scene
     scene.irgspp_photograph = 0.5  # without a camera there is no photograph
     assert scene.irgspp_photograph == 0
+    scene.irgspp_comparison = "fade"
     assert bpy.ops.irgspp.step_photograph() == {"FINISHED"}
     shown = scene.camera.data.background_images[0]
     behind = shown.alpha
@@ -72,3 +73,25 @@ def test_a_camera_without_a_photograph_has_no_slider(extension, run_folder):
     result.draw_cameras(layout, bpy.context)
     assert "irgspp_photograph" not in layout.properties
     assert layout.buttons("irgspp.step_photograph")[1].text == bpy.context.scene.camera.name
+
+
+def test_the_panel_compares_under_standard_and_restores(extension, run_folder):
+    bpy.ops.irgspp.import_run(directory=str(run_folder))
+    scene = bpy.context.scene
+    bpy.ops.irgspp.step_photograph()
+
+    def drawn():
+        layout = RecordingLayout()
+        result.draw_cameras(layout, bpy.context)
+        return layout
+
+    scene.view_settings.view_transform = "AgX"
+    assert "irgspp_border" in drawn().properties and "irgspp_photograph" not in drawn().properties
+    assert "AgX changes the colours of the result" in drawn().words
+    assert drawn().buttons("irgspp.comparison_colours")[0].text == "Compare under Standard"
+    assert bpy.ops.irgspp.comparison_colours() == {"FINISHED"} and scene.view_settings.view_transform == "Standard"
+    (back,) = drawn().buttons("irgspp.comparison_colours")
+    assert (back.text, back.values) == ("Restore AgX", {"restore": True})
+    assert bpy.ops.irgspp.comparison_colours(restore=True) == {"FINISHED"} and scene.view_settings.view_transform == "AgX"
+    scene.view_settings.view_transform = "Standard"
+    assert not drawn().buttons("irgspp.comparison_colours")

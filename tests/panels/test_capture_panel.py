@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Step 2 for photographs without cameras, for what a capture found, and the panel in which masks are painted."""
 
+import json
 import time
 from types import SimpleNamespace
 
@@ -62,6 +63,18 @@ def test_photographs_without_cameras_offer_to_find_them(settings, photos):
     start = draw(reconstruct.IRGSPP_PT_reconstruct)
     assert start.buttons("irgspp.reconstruct")[0].live == engine.status().usable
     assert not engine.status().usable or "The cameras are found first" in start.words
+    assert "On the CPU" not in drawn.words + start.words
+    expected = {
+        "capture": {"text": "about 3 min"},
+        "jobs": {"balanced": {"text": "about 9 min"}},
+        "rows": [["dataset", "x"]],
+        "warnings": [],
+    }
+    settings.inspected = json.dumps(expected)
+    assert "On the CPU: about 3 min." in draw(cameras.IRGSPP_PT_cameras).words
+    whole = "On the CPU, with the search for cameras: about 9 min."
+    assert not engine.status().usable or whole in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    assert "Dataset" not in draw(photographs.IRGSPP_PT_photographs).words
     (photos / "transforms.json").touch()
     assert draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.capture")  # the folder is not looked at each time
     capture_state.forget()

@@ -82,7 +82,8 @@ def test_a_chosen_dataset_is_inspected_at_once(settings, tmp_path, monkeypatch):
     settings.dataset = str(DEMO)
     assert [(words[0], words[3], words[4]) for words in started] == [("inspect", ["inspect", str(DEMO), "--json"], "show_inspection")]
     (tmp_path / "1.png").write_bytes(b"x")
-    settings.dataset = str(tmp_path)  # without cameras the engine has nothing to inspect yet
+    settings.dataset = str(tmp_path)  # without cameras the engine tells how long finding them takes
+    assert started.pop()[3] == ["inspect", str(tmp_path), "--json"]
     settings.dataset = str(tmp_path / "gone")
     settings.dataset = ""
     properties.set_quietly(settings, "dataset", str(DEMO))

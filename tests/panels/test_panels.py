@@ -102,7 +102,10 @@ def test_the_object_of_posed_photographs_without_masks_can_be_cut_out(settings, 
     assert not draw(cameras.IRGSPP_PT_cameras).buttons("irgspp.capture")
 
 
-def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
+GPU = {"cuda": [{"index": 0, "name": "RTX 5000", "memory": 1}], "notes": ["cuda can be used"]}
+
+
+def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path, monkeypatch):
     (tmp_path / "transforms.json").write_text("{}")
     settings.dataset = str(tmp_path)
     assert "On the CPU" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
@@ -113,6 +116,14 @@ def test_time_and_memory_are_told_before_the_job_starts(settings, tmp_path):
     assert "On the CPU: about 3 min, 1.5 GiB of memory." in draw(reconstruct.IRGSPP_PT_reconstruct).words
     settings.preset = "draft"
     assert "On the CPU: about 1 min" in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    assert "will be used" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "", GPU))
+    assert "RTX 5000 will be used; the estimate is for the processor." in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    settings.device = "cpu"
+    assert "will be used" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
+    settings.device = "cuda"
+    monkeypatch.setattr(engine, "status", lambda: engine.Status("ok", "", {**GPU, "notes": ["cuda can't be used: too old"]}))
+    assert "A graphics card will be used" in draw(reconstruct.IRGSPP_PT_reconstruct).words
     settings.preset = "paper"  # its time is not known
     assert "On the CPU" not in draw(reconstruct.IRGSPP_PT_reconstruct).words
 

@@ -100,6 +100,9 @@ TEXTS: dict[str, str] = {
     "What is inside the sphere {name} is reconstructed.": "Was in der Kugel {name} ist, wird rekonstruiert.",
     "Resume goes on with the object that the run began with.": "Fortsetzen macht mit dem Objekt weiter, mit dem der Lauf begann.",
     "On the CPU: {estimate}.": "Auf der CPU: {estimate}.",
+    "On the CPU, with the search for cameras: {estimate}.": "Auf der CPU, mit der Suche nach Kameras: {estimate}.",
+    "{card} will be used; the estimate is for the processor.": "{card} wird verwendet; die Schätzung gilt für den Prozessor.",
+    "A graphics card": "Eine Grafikkarte",
     # Jobs
     "Jobs": "Aufträge",
     "No jobs yet.": "Noch keine Aufträge.",
@@ -163,6 +166,9 @@ TEXTS: dict[str, str] = {
     "Textures": "Texturen",
     "Photographs": "Fotos",
     "Photograph": "Foto",
+    "Result": "Ergebnis",
+    "Restore {view}": "{view} wiederherstellen",
+    "{view} changes the colours of the result, not of the photograph.": "{view} verändert die Farben des Ergebnisses, nicht die des Fotos.",
     "Show Cameras": "Kameras zeigen",
     "Hide Cameras": "Kameras verbergen",
     "Test views: {value} dB PSNR": "Testansichten: {value} dB PSNR",
@@ -231,4 +237,21 @@ TEXTS: dict[str, str] = {
     "The object is not in this scene.": "Das Objekt ist nicht in dieser Szene.",
     "Mark as Asset": "Als Asset markieren",
     "Change Asset": "Asset ändern",
+    # Comparison, and its operator
+    "Show the result under the view transform Standard, in whose colours it can be compared with a photograph": (
+        "Zeigt das Ergebnis unter der Ansichtstransformation Standard, in deren Farben es mit einem Foto verglichen werden kann"
+    ),
+    "Compare under Standard": "Unter Standard vergleichen",
+    "Restore": "Wiederherstellen",
+    "Choose the view settings from before the comparison again": "Wählt wieder die Ansichtseinstellungen von vor dem Vergleich",
+    # Shadow catcher, and its operator
+    "Add an invisible level plane under the object's foot that catches its shadow, in IRGS++ and in Cycles": (
+        "Fügt unter dem Fuß des Objekts eine unsichtbare waagerechte Ebene hinzu, die seinen Schatten auffängt, in IRGS++ und in Cycles"
+    ),
+    "Add Shadow-Catcher Plane": "Schattenfänger-Ebene hinzufügen",
+    "Remove the plane": "Die Ebene entfernen",
+    "Remove Shadow-Catcher Plane": "Schattenfänger-Ebene entfernen",
+    "EEVEE renders the plane itself: only IRGS++ and Cycles know shadow catchers.": (
+        "EEVEE rendert die Ebene selbst: Nur IRGS++ und Cycles kennen Schattenfänger."
+    ),
 }

@@ -288,4 +288,21 @@ TEXTS: dict[str, str] = {
     "Longest side of the preview in pixels": "Längste Seite der Vorschau in Pixeln",
     "Job": "Auftrag",
     "The job whose details are shown": "Der Auftrag, dessen Einzelheiten gezeigt werden",
+    # Comparison
+    "Comparison": "Vergleich",
+    "How photograph and result are compared, seen through the photograph's camera": (
+        "Wie Foto und Ergebnis verglichen werden, durch die Kamera des Fotos gesehen"
+    ),
+    "Split": "Geteilt",
+    "The photograph on the left of a border, the result on the right": "Links von einer Grenze das Foto, rechts das Ergebnis",
+    "Fade": "Überblenden",
+    "The photograph fades over the result": "Das Foto wird über das Ergebnis geblendet",
+    "Border": "Grenze",
+    "Place of the border between photograph and result: 0 shows the result alone, 1 the photograph": (
+        "Ort der Grenze zwischen Foto und Ergebnis: 0 zeigt nur das Ergebnis, 1 das Foto"
+    ),
+    "Photograph over Object": "Foto über dem Objekt",
+    "Opacity of the photograph in front of the object, seen through its camera: 0 shows the object, 1 the photograph": (
+        "Deckkraft des Fotos vor dem Objekt, durch dessen Kamera gesehen: 0 zeigt das Objekt, 1 das Foto"
+    ),
 }

@@ -261,7 +261,7 @@ def test_run_knows_the_capture_of_its_photographs(photographs, tmp_path):
 
 
 def test_bad_input_of_the_command(photographs, tmp_path, capsys):
-    assert main(["inspect", str(photographs)]) == 2
+    assert main(["inspect", str(photographs), "--export", str(tmp_path / "dataset")]) == 2
     assert "has photographs but no cameras" in capsys.readouterr().err
     two = tmp_path / "two"
     two.mkdir()
