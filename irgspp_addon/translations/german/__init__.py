@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """German texts: English text -> translation."""
 
-from . import operators, panels, properties
+from . import operators, panels, preferences, properties
 
-TEXTS = {**panels.TEXTS, **operators.TEXTS, **properties.TEXTS}
+TEXTS = {**panels.TEXTS, **operators.TEXTS, **preferences.TEXTS, **properties.TEXTS}
