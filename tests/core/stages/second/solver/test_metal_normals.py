@@ -13,6 +13,7 @@ from irgspp.core.stages.second.solver.metal_normals import (
     RING_ANGLE,
     RINGS,
     SEARCHED_ROUGHNESS,
+    TRUSTED_ERROR,
     metal_trust,
     reflected_normals,
     turned_metal,
@@ -139,6 +140,9 @@ def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
 
 
 def test_metal_that_fits_badly_counts_less_for_the_light():
-    error = torch.tensor([1.0, 2.0, 4.0, 8.0, 0.0])
-    metal = torch.tensor([True, False, True, False, True])
-    torch.testing.assert_close(metal_trust(error, metal), torch.tensor([1.0, 1.0, 0.5, 1.0, 1.0]))
+    error = TRUSTED_ERROR * torch.tensor([1.0, 2.0, 4.0, 0.1, 0.0, 8.0]) * 2.0
+    metal = torch.tensor([True, False, True, False, True, True])
+    median = float(error.median())
+    expected = torch.tensor([1.0, 1.0, TRUSTED_ERROR * median / float(error[2]), 1.0, 1.0, TRUSTED_ERROR * median / float(error[5])])
+    torch.testing.assert_close(metal_trust(error, metal), expected.clamp(max=1))
+    assert float(metal_trust(error, metal)[5]) < 0.8
