@@ -28,6 +28,7 @@ ROUGHNESS_NEIGHBOURS = 64  # nearest points that share their roughness
 # Multiple of the points' median error up to which metal counts in full for the light. With 1, rocker_corner's metal itself fits worse (new
 # views lose .8 dB); with 10, suzanne_mixed's light gains nothing.
 TRUSTED_ERROR = 5.0
+LEAST_ERROR = 0.1  # median error that counts at least: about that of encoded values which differ by 1 / 255
 
 
 def reflected_normals(
@@ -92,7 +93,7 @@ def metal_trust(error: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
     Returns:
         (P,) in 0..1, 1 for a dielectric.
     """
-    return torch.where(metal, (TRUSTED_ERROR * error.median() / error.clamp_min(1e-9)).clamp(max=1), 1.0)
+    return torch.where(metal, (TRUSTED_ERROR * error.median().clamp_min(LEAST_ERROR) / error.clamp_min(1e-9)).clamp(max=1), 1.0)
 
 
 def search_normals(
