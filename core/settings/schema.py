@@ -57,7 +57,7 @@ class DataSettings:
 class FirstStageSettings:
     """First stage: fit 2D Gaussians, their radiance, and initial materials and light to the images."""
 
-    iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each
+    iterations: Annotated[int, Range(1, 10_000_000)] = 1500  # of the optimiser, one view each; twice as many for an object of metal
     gaussians: Annotated[int, Range(16, 10_000_000)] = 120_000  # number at the start, at most; with masks also the largest number
     gaussians_per_pixel: Annotated[float, Range(0)] = 3.75  # of these, for each pixel of the object by its masks; 0: always `gaussians`
     unmasked_gaussians: Annotated[int, Range(16, 10_000_000)] = 40_000  # of these, without masks; with 0 per pixel always `gaussians`

@@ -22,8 +22,8 @@ class MaterialClass:
         quaternion: learning rate. A reflection turns twice as fast as the normal, so that a metal's normals need a low rate; a matt
             surface gains little from moving and becomes noisy if it does.
         log_scale: learning rate.
-        schedule: length of the schedule as a multiple of the settings'. Reflections find a metal's normals slowly; it takes no time for
-            stereo instead.
+        schedule: length of the schedule as a multiple of the settings'. Reflections find a metal's normals slowly, and it takes no time
+            for stereo. On teapot_glossy 1, 1.7 and 2 give 4.69, 4.51 and 4.43 degrees.
     """
 
     name: str
