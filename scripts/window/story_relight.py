@@ -151,13 +151,13 @@ def turn_light(folder: Path) -> Iterator[float]:
 
 
 def mark_asset() -> Iterator[float]:
-    """Mark the object as an asset by its button and the dialog."""
+    """Mark the object's collection as an asset by its button and the dialog."""
     yield from browsing.press_button("irgspp.mark_asset")
     yield 1.0
     driver.shot("80_asset_asked")
     driver.key("Return")
     thing = next(thing for thing in bpy.context.scene.objects if thing.type == "MESH" and thing.name != "Cube")
-    yield from driver.wait(lambda: thing.asset_data is not None, 60)
+    yield from driver.wait(lambda: any(one.asset_data is not None for one in thing.users_collection), 60)
     yield 1.0
     driver.sidebar_shot("81_asset")
 
