@@ -5,9 +5,11 @@ from __future__ import annotations
 
 import cv2
 import numpy as np
+import torch
 
 from ..scene.mesh import Mesh
 from ..scene.triangle_tracer import TriangleTracer
+from ..shading.sampling import cosine_directions
 from ..surface.mesh_texels import MeshTexels, mesh_texels
 from ..surface.meshing import unit
 
@@ -38,32 +40,15 @@ def _visibility(mesh: Mesh, texels: MeshTexels) -> np.ndarray:
     """Return the visibility (P,) float32 of the texels."""
     tracer = TriangleTracer(mesh.vertices[mesh.faces])
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    local = _cosine_directions()
+    random = np.random.default_rng(0)
     seen = np.empty(len(texels.index), np.float32)
     for begin in range(0, len(seen), CHUNK):
         part = slice(begin, begin + CHUNK)
         normal = unit(texels.interpolate(mesh.normals, mesh.faces, part))
         origin = texels.interpolate(mesh.vertices, mesh.faces, part) + ABOVE * diagonal * normal
-        direction = np.einsum("qij,rj->qri", _frames(normal, begin), local).reshape(-1, 3)
-        rays = np.repeat(origin, RAYS, 0).astype(np.float32), np.ascontiguousarray(direction, np.float32)
+        shift = torch.from_numpy(random.random((len(normal), 2), np.float32))
+        direction = cosine_directions(torch.from_numpy(normal.astype(np.float32)), RAYS, shift).reshape(-1, 3).numpy()
+        rays = np.repeat(origin, RAYS, 0).astype(np.float32), direction
         hit = tracer.meet(*rays, np.full(len(direction), REACH * diagonal, np.float32))
         seen[part] = 1 - hit.reshape(-1, RAYS).mean(1)
     return seen
-
-
-def _cosine_directions() -> np.ndarray:
-    """Return RAYS cosine-weighted directions (R, 3) about +Z, on a spiral."""
-    fraction = (np.arange(RAYS) + 0.5) / RAYS
-    angle = np.arange(RAYS) * 2.39996322972865
-    radius = np.sqrt(fraction)
-    return np.stack([radius * np.cos(angle), radius * np.sin(angle), np.sqrt(1 - fraction)], -1)
-
-
-def _frames(normal: np.ndarray, seed: int) -> np.ndarray:
-    """Return rotations (Q, 3, 3) that map +Z to normals (Q, 3), each with a random turn about it."""
-    axis = np.where(np.abs(normal[:, :1]) < 0.7, [[1.0, 0, 0]], [[0, 1.0, 0]])
-    first = unit(np.cross(normal, axis))
-    second = np.cross(normal, first)
-    turn = np.random.default_rng(seed).uniform(0, 2 * np.pi, (len(normal), 1))
-    turned = np.cos(turn) * first + np.sin(turn) * second
-    return np.stack([turned, np.cross(normal, turned), normal], -1)

@@ -10,7 +10,7 @@ import bpy
 from mathutils import Matrix
 
 from ...core.errors import InputError
-from .asset_parts import add_levels
+from .asset_parts import HULL, add_levels, hull_name
 from .mesh_origin import ORIGIN, mesh_to_run
 from .ownership import KEY, Owner, folder_of, link
 
@@ -69,7 +69,8 @@ def replace_levels(thing: bpy.types.Object, ratios: Sequence[float]) -> None:
     _remove_parts(thing, "level")
     if not ratios:
         thing.name = thing.data.name = name
-    for level in add_levels(thing, ratios, name) if ratios else ():
+        return
+    for level in add_levels(thing, ratios, name):
         level.data.pop(KEY, None)  # which the copy of the mesh has, too
         _hide(level, "level")
 
@@ -89,14 +90,14 @@ def replace_hulls(thing: bpy.types.Object, file: Path | None) -> None:
         return
     try:
         with bpy.data.libraries.load(str(file)) as (source, wanted):
-            wanted.objects = [name for name in source.objects if name.startswith("UCX_")]
+            wanted.objects = [name for name in source.objects if name.startswith(HULL)]
     except OSError as error:
         raise InputError(file, f"can't be read ({error})", "mark the asset again") from error
     hulls = list(wanted.objects)
     roots = {hull.parent for hull in hulls if hull.parent is not None}
     to_mesh = mesh_to_run(thing).inverted() @ Matrix.Translation(list(thing[ORIGIN]))  # the file's meshes begin at the foot
     for number, hull in enumerate(hulls):
-        hull.name = hull.data.name = f"UCX_{thing.name}_{number:02d}"
+        hull.name = hull.data.name = hull_name(thing, number)
         hull.data.transform(to_mesh)
         hull.parent, hull.matrix_parent_inverse, hull.matrix_basis = thing.parent, thing.matrix_parent_inverse, thing.matrix_basis
         for collection in thing.users_collection:

@@ -14,6 +14,7 @@ from mathutils.kdtree import KDTree
 from ...core.scene.similarity import moved_points
 
 NEAREST = 6  # vertices of the full mesh among which a decimated vertex looks for the normal of its own side
+HULL = "UCX_"  # by which Unreal Engine knows a collision hull
 MOST_HULLS = 100  # the number in a hull's name has two digits
 
 
@@ -84,10 +85,20 @@ def _vertex_normals(mesh: bpy.types.Mesh) -> np.ndarray:
     return normals
 
 
+def hull_name(full: bpy.types.Object, number: int) -> str:
+    """Return the name of a hull of an object: Unreal Engine finds hulls by the name of the mesh that they belong to.
+
+    Args:
+        full: mesh object, named.
+        number: of the hull, from 0.
+    """
+    return f"{HULL}{full.name}_{number:02d}"
+
+
 def add_hulls(full: bpy.types.Object, file: Path, matrix: np.ndarray) -> list[bpy.types.Object]:
     """Add the convex hulls of a file as objects, which game engines take as collision shapes.
 
-    Unreal Engine finds them by the name of the mesh that they belong to: UCX_NAME_00 and so on, UCX_NAME_LOD0_00 with levels of detail.
+    They are called UCX_NAME_00 and so on, UCX_NAME_LOD0_00 with levels of detail.
 
     Args:
         full: mesh object of the asset, named; the hulls get its transform, parent and collections.
@@ -97,7 +108,7 @@ def add_hulls(full: bpy.types.Object, file: Path, matrix: np.ndarray) -> list[bp
     hulls = []
     with np.load(file, allow_pickle=False) as arrays:
         for i in range(min(len(arrays.files) // 2, MOST_HULLS)):
-            mesh = bpy.data.meshes.new(f"UCX_{full.name}_{i:02d}")
+            mesh = bpy.data.meshes.new(hull_name(full, i))
             mesh.from_pydata(moved_points(arrays[f"vertices{i}"], matrix).tolist(), [], arrays[f"faces{i}"].tolist())
             hull = _placed_beside(full, mesh, mesh.name)
             hull.display_type = "WIRE"

@@ -31,8 +31,9 @@ def photographs(tmp_path):
     return folder
 
 
-def test_a_measured_capture_is_met():
-    assert capture_seconds(SETTINGS, 48, (640, 480)) == pytest.approx(163, rel=0.2)
+@pytest.mark.parametrize(("count", "size", "seconds"), [(48, (640, 480), 72), (24, (4000, 3000), 238)])
+def test_measured_captures_are_met(count, size, seconds):
+    assert capture_seconds(SETTINGS, count, size) == pytest.approx(seconds, rel=0.1)
 
 
 def test_more_and_larger_photographs_take_longer():

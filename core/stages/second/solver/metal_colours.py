@@ -13,8 +13,7 @@ import torch
 # Width of the kernel in log ratios of channels, and what is added to its mean value, so that no tint is impossible. Points of another
 # material that became metal, and points of metal that did not, without and with the colours: capture_ogre 80 and 27, 8 and 17;
 # rocker_corner 1 and 13, 0 and 8; suzanne_mixed 5 and 1, 5 and 2; a vase with glazed bands 49 and 10, 7 and 4; a basket with a chain 14
-# and 0, 6 and 1.
-# Widths of .1 to .2 and floors of .02 to .04 give about the same.
+# and 0, 6 and 1. Widths of .1 to .2 and floors of .02 to .04 give about the same.
 TINT_WIDTH, FLOOR = 0.14, 0.04
 DARKEST = 0.01  # albedo below which a channel tells no tint
 
