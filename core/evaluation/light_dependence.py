@@ -60,7 +60,7 @@ def light_dependence(
         u, v = direction_to_uv(to_light_frame(direction, rotation))
         texel = (v * ROWS).long().clamp(0, ROWS - 1) * 2 * ROWS + (u * 2 * ROWS).long().clamp(0, 2 * ROWS - 1)
         total.index_add_(0, texel, light.double() * pixels)
-    angle = solid_angles(ROWS, 2 * ROWS, torch.float64).to(total.device)[:, None]
+    angle = solid_angles(ROWS, 2 * ROWS, torch.float64, total.device)[:, None]
     mean = total.sum() / (4 * math.pi)
     return (total.view(ROWS, 2 * ROWS) / angle / mean.clamp_min(1e-30)).cpu().numpy()
 

@@ -31,7 +31,9 @@ def _warp_trace() -> Any:
     return tracing
 
 
-def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> Tree:
+def build_tree(
+    position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor, lasting: bool = True
+) -> Tree:
     """Build a bounding volume hierarchy over Gaussians; no gradients.
 
     Args:
@@ -39,12 +41,15 @@ def build_tree(position: torch.Tensor, quaternion: torch.Tensor, log_scale: torc
         quaternion: (4, N) w x y z of any length.
         log_scale: (2, N) logarithms of the two scales.
         opacity: (N,) logits.
+        lasting: many rays are traced before the Gaussians move. A GPU's tree is then built on the host, which takes longer and makes a
+            better one.
 
     Returns:
         Tree of the backend that works on the tensors.
     """
-    tree_type = _warp_trace().DeviceTree if backend.by_warp(opacity) else SurfelTree
-    return tree_type.build(position, quaternion, log_scale, opacity)
+    if backend.by_warp(opacity):
+        return _warp_trace().DeviceTree.build(position, quaternion, log_scale, opacity, lasting)
+    return SurfelTree.build(position, quaternion, log_scale, opacity)
 
 
 def _check_rays(origin: torch.Tensor, direction: torch.Tensor) -> None:

@@ -7,6 +7,7 @@ import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
 
+import numpy as np
 import torch
 
 _forced: list[bool] = []
@@ -15,6 +16,24 @@ _forced: list[bool] = []
 def by_warp(tensor: torch.Tensor) -> bool:
     """Return True where warp's kernels are to process a tensor (...,) of any shape, False where numba's are."""
     return tensor.device.type != "cpu" or (bool(_forced) and _forced[-1])
+
+
+def send(values: np.ndarray, device: torch.device | str) -> torch.Tensor:
+    """Copy an array (...,) to a device without waiting for the work queued there; on the CPU the tensor shares the array's memory.
+
+    The driver takes the values of ordinary memory before the call returns, so that the array may change afterwards.
+    """
+    return torch.from_numpy(values).to(device, non_blocking=True)
+
+
+def random_generator(device: torch.device, seed: int) -> torch.Generator:
+    """Return a generator of random numbers for tensors of a device, on that device if it is a GPU: copying numbers there would wait.
+
+    Args:
+        device: the device.
+        seed: seed of the generator; CPU and GPU make different numbers of it.
+    """
+    return torch.Generator(device if device.type == "cuda" else "cpu").manual_seed(seed)
 
 
 def wait_for(device: torch.device) -> None:

@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 from ..kernels.cpu.bilateral import correct_range, mean_range, smooth_range, weigh_range
-from ..machine.backend import by_warp
+from ..machine.backend import by_warp, send
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
 from ..shading.split_sum import specular_albedo
@@ -172,7 +172,7 @@ class Guides:
         """Filter values (P, C) at flat pixel indices (P,) by the Warp kernel."""
         from ..kernels.warp.bilateral import filtered  # an optional dependency
 
-        spatial = torch.from_numpy(bilateral.spatial()).to(values.device)
+        spatial = send(bilateral.spatial(), values.device)
         image = (index, self._grid.width, self._grid.height)
         return filtered(*image, self._values, spatial, bilateral.epsilon * self._radius, bilateral.doublings, values.contiguous())
 
@@ -253,8 +253,8 @@ def _guides(surface: PrimaryHits) -> torch.Tensor:
     """Return the guide layers (7, P): normal, depth, its slopes to the right and down, coverage."""
     camera = surface.camera
     # The tangent plane n.(x - p) = 0 gives the slopes without the noise of differences.
-    across = torch.from_numpy(camera.to_world[:3, 0] / camera.fx).to(surface.depth)
-    down = torch.from_numpy(-camera.to_world[:3, 1] / camera.fy).to(surface.depth)
+    steps = (camera.to_world[:3, 0] / camera.fx, -camera.to_world[:3, 1] / camera.fy)
+    across, down = (send(step.astype(np.float32), surface.depth.device) for step in steps)
     facing = (surface.normal * surface.ray).sum(-1).clamp_max(-1e-2)
     slopes = [-surface.depth * (surface.normal @ step) / facing for step in (across, down)]
     return torch.cat([surface.normal.T, torch.stack([surface.depth, *slopes, surface.alpha])])

@@ -12,7 +12,7 @@ import torch
 from ..kernels.cpu.light_samples import light_range, settle_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from ..shading.sampling import point_set
+from ..shading.sampling import point_set, points_on
 from .indirect_light import ShadingPoints
 from .prepared_light import PreparedLight
 from .sample_counts import SampleCounts
@@ -75,7 +75,7 @@ def _on_device(
     from ..kernels.warp import light as kernels  # an optional dependency
 
     n_c, n_g, n_e = counts
-    sets = (shift.contiguous(), point_set(n_e).to(shift), n_c, n_g, light.table, light.turn, points.brdf == "irgs")
+    sets = (shift.contiguous(), points_on(n_e, shift.dtype, shift.device), n_c, n_g, light.table, light.turn, points.brdf == "irgs")
     entry, direction, weights = kernels.draw_light(points.view, points.normal, points.alpha, *sets)
     above = torch.nonzero(entry.view(-1) >= 0)[:, 0]
     hidden = torch.zeros(entry.shape, device=sums.device)

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 import torch
 
+from ..machine.backend import send
 from ..scene.mesh import Mesh
 from .mesh_texture import MeshTexture, NormalTexture
 from .mesh_tracer import mesh_tracer
@@ -211,4 +212,4 @@ def _weights(u: torch.Tensor, v: torch.Tensor) -> torch.Tensor:
 
 def _centre(surface: PrimaryHits) -> torch.Tensor:
     """Return the centre (3,) of a surface's camera."""
-    return torch.from_numpy(surface.camera.centre).to(surface.depth)
+    return send(surface.camera.centre.astype(np.float32), surface.depth.device)

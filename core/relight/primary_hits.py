@@ -6,9 +6,11 @@ from __future__ import annotations
 import dataclasses
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from ..kernels.rasterize import NORMAL
+from ..machine.backend import send
 from ..rendering.deferred import surface_pixels
 from ..rendering.gbuffer import BAND, SUBPIXELS, rasterize_view, world_rays
 from ..scene.camera import Camera
@@ -175,6 +177,6 @@ def _hits(camera: Camera, image: torch.Tensor, rays: torch.Tensor, albedo_scale:
     p = surface_pixels(image, rays, EMPTY_ALPHA)
     ray = rays.flatten(1)[:, p.index].T.contiguous()
     depth = image[-2].flatten()[p.index] / p.alpha
-    point = torch.from_numpy(camera.centre).to(depth) + depth[:, None] * ray
+    point = send(camera.centre.astype(np.float32), depth.device) + depth[:, None] * ray
     materials = (p.albedo * albedo_scale, p.roughness, p.metallic, p.alpha)
     return PrimaryHits(camera, p.index, ray, p.view, point, depth, p.normal.contiguous(), *materials, image[-1].contiguous(), point)

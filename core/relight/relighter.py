@@ -83,6 +83,7 @@ class Relighter:
         usual = METAL_SURFACE_WEIGHT if self._mostly_metallic else SURFACE_WEIGHT
         self._mesh_normals = usual if settings.mesh_normals is None else settings.mesh_normals
         self.counts = self._counts_of(settings.samples)
+        self._rays_at_once = rays_that_fit(self.device) if by_warp(reconstruction.environment) else RAYS
         self._scale = torch.tensor(settings.albedo_scale, device=self.device)
         self._ray_cache: WeakKeyDictionary[PrimaryHits, dict[tuple[SampleCounts, int], CachedRays]] = WeakKeyDictionary()
         self._guides: WeakKeyDictionary[PrimaryHits, Guides] = WeakKeyDictionary()
@@ -220,8 +221,7 @@ class Relighter:
 
     def _sums(self, surface: PrimaryHits, counts: SampleCounts, light: PreparedLight, lamps: Sequence[Lamp]) -> torch.Tensor:
         """Return sums over samples (P, 2, 12), see `gather`, and those of lamps if any, computed in parts of limited memory."""
-        rays = rays_that_fit(self.device) if by_warp(surface.index) else RAYS
-        count, step = len(surface.index), max(1, rays // sum(counts))
+        count, step = len(surface.index), max(1, self._rays_at_once // sum(counts))
         parts = [slice(begin, begin + step) for begin in range(0, count, step)] or [slice(0, 0)]
         transfer = self._transfer if light.distribution is not None else None
         vertex_light = None if transfer is None else transfer.light(light, self._scale)

@@ -7,6 +7,7 @@ import numpy as np
 import torch
 
 from ..kernels.rasterize import EXTRA, NORMAL, rasterize
+from ..machine.backend import send
 from ..scene.camera import Camera
 from ..scene.gbuffer import GBuffer
 from ..scene.reconstruction import Reconstruction
@@ -45,7 +46,10 @@ def rasterize_view(
 
 def world_rays(camera: Camera, device: torch.device) -> torch.Tensor:
     """Return the world rays (3, H, W) of planar depth 1 of a camera."""
-    return torch.from_numpy(camera.rays()).to(device).permute(2, 0, 1)
+    if device.type == "cpu":
+        return torch.from_numpy(camera.rays()).permute(2, 0, 1)
+    columns, rows = (send(part, device) for part in camera.ray_parts())
+    return (rows.T[:, :, None] + columns.T[:, None]).float()
 
 
 def render_gbuffer(

@@ -78,11 +78,15 @@ class Camera:
 
     def rays(self) -> np.ndarray:
         """Return the rays (H, W, 3) float32 through the pixel centres in the world; centre + depth * ray is the point at a planar depth."""
+        columns, rows = self.ray_parts()
+        return (rows[:, None] + columns).astype(np.float32)
+
+    def ray_parts(self) -> tuple[np.ndarray, np.ndarray]:
+        """Return the parts of the rays, (W, 3) of the columns and (H, 3) of the rows, float64: a pixel's ray is the sum of its two."""
         x = (np.arange(self.width) + 0.5 - self.cx) / self.fx
         y = (np.arange(self.height) + 0.5 - self.cy) / self.fy
-        x, y = np.meshgrid(x, y)
-        local = np.stack([x, -y, -np.ones_like(x)], -1)
-        return (local @ self.to_world[:3, :3].T).astype(np.float32)
+        right, up, back = self.to_world[:3, :3].T
+        return x[:, None] * right, -y[:, None] * up - back
 
     def project(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Project world points (N, 3).

@@ -71,15 +71,16 @@ def texel_directions(height: int, width: int, dtype: torch.dtype = torch.float32
     return torch.stack([s * phi.cos(), s * phi.sin(), c], -1)
 
 
-def solid_angles(height: int, width: int, dtype: torch.dtype = torch.float32) -> torch.Tensor:
+def solid_angles(height: int, width: int, dtype: torch.dtype = torch.float32, device: torch.device | str = "cpu") -> torch.Tensor:
     """Return the exact solid angle in steradians of a texel in each row, (H,); over the map they sum to 4 pi.
 
     Args:
         height: rows of the map.
         width: columns of the map.
         dtype: floating type of the computation and of the result.
+        device: device of the result.
     """
-    edges = torch.cos(torch.arange(height + 1, dtype=dtype) * (math.pi / height))
+    edges = torch.cos(torch.arange(height + 1, dtype=dtype, device=device) * (math.pi / height))
     return (edges[:-1] - edges[1:]) * (2 * math.pi / width)
 
 

@@ -44,7 +44,7 @@ class LightDistribution:
     def _build(self, brightness: torch.Tensor) -> None:
         """Build the tables from the brightness of texels, (H, W)."""
         height, width = brightness.shape
-        angle = solid_angles(height, width, torch.float64).to(brightness.device)
+        angle = solid_angles(height, width, torch.float64, brightness.device)
         value = _blurred(brightness.double())
         mean = (value.sum(1) * angle).sum() / (4 * math.pi)
         if mean.device.type == "cpu" and not torch.isfinite(mean):  # not on a GPU, which would have to be waited for

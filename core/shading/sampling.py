@@ -69,7 +69,7 @@ def cosine_directions(normal: torch.Tensor, count: int, shift: torch.Tensor) -> 
 
 
 @cache
-def _points(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
+def points_on(count: int, dtype: torch.dtype, device: torch.device) -> torch.Tensor:
     """Return `point_set` as a floating type on a device."""
     return point_set(count).to(device, dtype)
 
@@ -162,7 +162,7 @@ def shifted_points(count: int, shift: torch.Tensor) -> torch.Tensor:
         count: points of the set.
         shift: (P, 2) shifts on the torus, in [0, 1).
     """
-    u = _points(count, shift.dtype, shift.device)[None] + shift[:, None]
+    u = points_on(count, shift.dtype, shift.device)[None] + shift[:, None]
     return u - (u >= 1).to(u)
 
 

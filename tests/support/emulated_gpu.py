@@ -15,7 +15,7 @@ import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wai
 import torch
 import warp as wp
 from irgspp.core import pipeline
-from irgspp.core.kernels.warp import bilateral, light, lobes, mesh, photometric, rasterize, runtime
+from irgspp.core.kernels.warp import bilateral, light, lobes, mesh, nodes, photometric, rasterize, runtime, tree
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
@@ -97,10 +97,10 @@ def emulate() -> None:
             assert not isinstance(value, torch.Tensor) or isinstance(value, EmulatedTensor), f"{kernel.key}: a tensor on {value.device}"
         start(kernel, dim, *(raw_of(value.detach()) if isinstance(value, torch.Tensor) else value for value in inputs))
 
-    for module in (bilateral, light, lobes, mesh, photometric, rasterize, tracing):
+    for module in (bilateral, light, lobes, mesh, nodes, photometric, rasterize, tracing, tree):
         module.launch = launch
     wp.from_torch = lambda tensor, *rest, **named: wrap(raw_of(tensor), *rest, **named)
-    tracing._identity = lambda tensor: (raw_of(tensor.detach()).data_ptr(), tensor._version, tensor.shape)
+    tree._identity = lambda tensor: (raw_of(tensor.detach()).data_ptr(), tensor._version, tensor.shape)
     make = torch.tensor  # it reads its values without the dispatch modes
     torch.tensor = lambda values, dtype=None, device="cpu": make(values, dtype=dtype).to(device)
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)

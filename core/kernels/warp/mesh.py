@@ -25,6 +25,19 @@ def closest(
         distance[ray] = hit.t
 
 
+@wp.kernel
+def blocked(
+    mesh: wp.uint64, origin: wp.array(dtype=wp.vec3), direction: wp.array(dtype=wp.vec3), reach: wp.array(dtype=float),
+    met: wp.array(dtype=wp.bool),
+):  # fmt: skip
+    """Test whether each ray, (R,), meets a triangle nearer than its reach; a reach of no elements: at any distance."""
+    ray = wp.tid()
+    far = float(_FAR)
+    if reach.shape[0] > 0:
+        far = reach[ray]
+    met[ray] = wp.mesh_query_ray_anyhit(mesh, origin[ray], direction[ray], far)
+
+
 class DeviceMesh:
     """Triangle mesh for ray queries on the GPU.
 
@@ -37,7 +50,7 @@ class DeviceMesh:
         self._arrays = vertices.contiguous(), faces.to(torch.int32).contiguous().view(-1)
         with on_stream(vertices.device):
             points, indices = wp.from_torch(self._arrays[0], wp.vec3), wp.from_torch(self._arrays[1])
-            self._mesh = wp.Mesh(points, indices)  # built once, so the best tree, built on the host, pays off
+            self._mesh = wp.Mesh(points, indices, bvh_constructor="sah")  # built once: the best tree, built on the host, pays off
 
     def closest(self, origin: torch.Tensor, direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor, torch.Tensor]:
         """Find the nearest hit of each ray.
@@ -66,5 +79,8 @@ class DeviceMesh:
         Returns:
             (R,) bool, True for rays that hit the mesh.
         """
-        triangle, _, _, distance = self.closest(origin, direction)
-        return triangle >= 0 if reach is None else (triangle >= 0) & (distance < reach)
+        met = torch.empty(len(origin), dtype=torch.bool, device=origin.device)
+        ends = origin.new_empty(0) if reach is None else reach.contiguous()
+        if len(origin):
+            launch(blocked, len(origin), self._mesh.id, origin.contiguous(), direction.contiguous(), ends, met)
+        return met

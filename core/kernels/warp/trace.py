@@ -3,108 +3,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Any
-
 import torch
-import warp as wp
 
-from ..constants import SURFEL_GRADIENTS, SURFEL_RECORD
+from ..constants import SURFEL_GRADIENTS
 from . import adjoint, surfels
 from .hit_lists import DeviceLists, by_gaussian
-from .runtime import launch, on_stream
+from .runtime import launch
+from .tree import DeviceTree
 
 SUMS = 8  # outputs besides the extras
-
-
-@dataclass
-class DeviceTree:
-    """Warp's bounding volume hierarchy over N Gaussians; those that no ray can hit stay in it and are never hit.
-
-    Attributes:
-        record: (N, SURFEL_RECORD) record of each surfel, see core/kernels/cpu/bvh.py.
-    """
-
-    record: torch.Tensor
-    _boxes: tuple[torch.Tensor, torch.Tensor]
-    _tree: wp.Bvh
-    _source: tuple[Any, ...]
-
-    @classmethod
-    def build(cls, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> DeviceTree:
-        """Build a tree over raw parameters, see `SurfelTree.build`.
-
-        Args:
-            position: (3, N) centres, world.
-            quaternion: (4, N) w x y z of any length.
-            log_scale: (2, N) logarithms of the two scales.
-            opacity: (N,) logits.
-        """
-        n, device = len(opacity), opacity.device
-        record, boxes = torch.empty(n, SURFEL_RECORD, device=device), (torch.empty(n, 3, device=device), torch.empty(n, 3, device=device))
-        _describe(position, quaternion, log_scale, opacity, record, boxes)
-        with on_stream(device):
-            arrays = [wp.from_torch(box, wp.vec3) for box in boxes]
-            # The best tree ("sah") is built on the host, which would wait for the boxes; "lbvh" is built on the device.
-            tree = wp.Bvh(*arrays, constructor="lbvh" if device.type == "cuda" else "sah") if n else None
-        return cls(record, boxes, tree, _snapshot(position, quaternion, log_scale, opacity))
-
-    @property
-    def id(self) -> wp.uint64:
-        """Identifier of the tree for kernels; 0 for an empty one."""
-        return wp.uint64(0) if self._tree is None else self._tree.id
-
-    def refit(self, position: torch.Tensor, quaternion: torch.Tensor, log_scale: torch.Tensor, opacity: torch.Tensor) -> None:
-        """Update the tree for changed parameters; rebuild it where their number changed.
-
-        Args:
-            position: (3, N) centres, world.
-            quaternion: (4, N) w x y z of any length.
-            log_scale: (2, N) logarithms of the two scales.
-            opacity: (N,) logits.
-        """
-        if len(opacity) != len(self.record) or self._tree is None:
-            self.__dict__.update(DeviceTree.build(position, quaternion, log_scale, opacity).__dict__)
-            return
-        _describe(position, quaternion, log_scale, opacity, self.record, self._boxes)
-        with on_stream(opacity.device):
-            self._tree.refit()
-        self._source = _snapshot(position, quaternion, log_scale, opacity)
-
-    def matches(self, *parameters: torch.Tensor) -> bool:
-        """Return True where the parameters are bit for bit those of the tree.
-
-        Args:
-            *parameters: position (3, N), quaternion (4, N), log scale (2, N), opacity (N,). The host waits unless they are the very tensors
-                that the tree was built from, unchanged.
-        """
-        pairs = list(zip(parameters, self._source, strict=True))
-        return all(_identity(its) == where for its, (_, where, _) in pairs) or all(_bit_equal(its, copy) for its, (copy, _, _) in pairs)
-
-
-def _identity(tensor: torch.Tensor) -> tuple[int, int, torch.Size]:
-    """Return what identifies a tensor's contents without reading them: address, version and shape."""
-    return tensor.data_ptr(), tensor._version, tensor.shape
-
-
-def _bit_equal(a: torch.Tensor, b: torch.Tensor) -> bool:
-    """Compare two tensors bit by bit: NaN equals NaN."""
-    return a.shape == b.shape and torch.equal(a.detach().contiguous().view(torch.int32), b.view(torch.int32))
-
-
-def _snapshot(*parameters: torch.Tensor) -> tuple[Any, ...]:
-    """Return what a tree was built from: the values, their identity, and the tensors themselves.
-
-    Holding the tensors keeps their memory from being reused, so that an equal address means an equal tensor.
-    """
-    return tuple((p.detach().clone(memory_format=torch.contiguous_format), _identity(p), p.detach()) for p in parameters)
-
-
-def _describe(position, quaternion, log_scale, opacity, record, boxes) -> None:
-    """Write records and boxes of the surfels."""
-    if len(opacity):
-        parameters = [p.detach().contiguous() for p in (position, quaternion, log_scale, opacity)]
-        launch(surfels.describe, len(opacity), *parameters, len(opacity), record, *boxes)
 
 
 def _composite_rays(tree: DeviceTree, origin, direction, sh: torch.Tensor, coefficients: int, extra: torch.Tensor):
@@ -114,7 +21,7 @@ def _composite_rays(tree: DeviceTree, origin, direction, sh: torch.Tensor, coeff
     count = torch.zeros(rays, dtype=torch.int64, device=device)
     if rays and len(tree.record):
         rows = (sh, coefficients, extra)
-        launch(surfels.composite(extras), rays, tree.id, tree.record, origin, direction, *rows, out, count, left)
+        launch(surfels.composite(extras), rays, *tree.layout, tree.record, origin, direction, *rows, out, count, left)
     return out, count, left
 
 
@@ -126,7 +33,7 @@ def _collect_hits(tree: DeviceTree, origin, direction, count: torch.Tensor, left
     index, of = torch.empty(2, total, dtype=torch.int32, device=device)
     weight, distance = torch.empty(2, total, device=device)
     if total:
-        launch(surfels.gather, len(count), tree.id, tree.record, origin, direction, start, index, weight, distance, of)
+        launch(surfels.gather, len(count), *tree.layout, tree.record, origin, direction, start, index, weight, distance, of)
     return DeviceLists(start, index, weight, distance, left, of, longest)
 
 

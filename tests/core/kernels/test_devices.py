@@ -128,6 +128,33 @@ def test_mesh_rays_match_embree(device):
     assert same.float().mean() > 0.998 and hit.float().mean() > 0.1
     for a, b in zip(found[1:], expected[1:], strict=True):
         assert (a - b)[hit].abs().max() < 1e-3
+    for reach in (None, torch.rand(2000, generator=torch.Generator().manual_seed(7)) * 2):
+        ends = None if reach is None else reach.to(device)
+        met = mesh_tracer(mesh, device).meet(*on(device, lines, False), ends).cpu()
+        wanted = EmbreeTracer(mesh).meet(*lines, reach)
+        assert (met == wanted).float().mean() > 0.998 and 0.05 < wanted.float().mean() < 0.95
+
+
+@pytest.mark.parametrize(("count", "spread"), [(1, 0.5), (9, 0.5), (300, 0.0)])
+def test_trees_of_one_and_of_coincident_gaussians(device, count, spread):
+    """Coincident ones fill the leaves at the deepest level."""
+    parameters, lines = cloud(count, 9), rays(500, 10)
+    parameters[0] *= spread
+    with warp_on_cpu(False):
+        expected = trace(*parameters, *lines, build_tree(*parameters[:4]))
+    values = on(device, parameters, False)
+    found = trace(*values, *on(device, lines, False), build_tree(*values[:4])).cpu()
+    agree(found, expected, 1e-2)
+    assert (expected[:, -1] > 0).float().mean() > 0.02
+
+
+def test_a_refitted_tree_finds_moved_gaussians(device):
+    parameters, lines = cloud(400, 11), rays(600, 12)
+    values, moved = on(device, parameters, False), on(device, cloud(400, 13), False)
+    tree = build_tree(*values[:4], lasting=False)
+    tree.refit(*moved[:4])
+    found = trace(*moved, *on(device, lines, False), tree)
+    agree(found.cpu(), trace(*moved, *on(device, lines, False), build_tree(*moved[:4])).cpu())
 
 
 def test_a_run_repeats_bit_by_bit(device):
@@ -140,7 +167,7 @@ def test_a_run_repeats_bit_by_bit(device):
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
-MODULES = ("splats", "surfels", "adjoint", "mesh", "photometric", "lobes", "light")
+MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light")
 
 
 @pytest.mark.long

@@ -49,7 +49,7 @@ class SurfelTracer:
         g = gaussians
         geometry = (g.position, g.quaternion, g.log_scale, g.opacity)
         if self._tree is None or self._refits >= MAX_REFITS:
-            self._tree, self._refits = build_tree(*geometry), 0
+            self._tree, self._refits = build_tree(*geometry, lasting=False), 0
         elif not self._tree.matches(*geometry):
             self._tree.refit(*geometry)
             self._refits += 1

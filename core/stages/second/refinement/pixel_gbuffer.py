@@ -38,7 +38,7 @@ class CachedHits:
         Returns:
             (count,) pixels.
         """
-        return among[torch.randint(len(among), (count,), generator=generator).to(among.device)]
+        return among[torch.randint(len(among), (count,), generator=generator, device=generator.device)]
 
     def sums(self, gaussians: Gaussians, pixels: torch.Tensor) -> torch.Tensor:
         """Blend normals and materials.
@@ -83,8 +83,8 @@ class RasterizedViews:
             (count,) pixels.
         """
         number = self._pool.number[among]
-        same = among[number == number[torch.randint(len(among), (1,), generator=generator).to(among.device)]]
-        return same[torch.randint(len(same), (count,), generator=generator).to(among.device)]
+        same = among[number == number[torch.randint(len(among), (1,), generator=generator, device=generator.device)]]
+        return same[torch.randint(len(same), (count,), generator=generator, device=generator.device)]
 
     def sums(self, gaussians: Gaussians, pixels: torch.Tensor) -> torch.Tensor:
         """Blend normals and materials: see `CachedHits.sums`.

@@ -15,7 +15,7 @@ from typing import Any
 import torch
 
 from ....io.srgb import encode_srgb
-from ....machine.backend import by_warp
+from ....machine.backend import by_warp, random_generator
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.gaussians import Gaussians
@@ -83,7 +83,7 @@ class Refinement:
             cameras: cameras of the pool's views, to rasterise whole views in each step, for comparison; empty: use the pool's hit lists.
         """
         self.start, self.pool, self.tracer, self.settings = reconstruction, pool, tracer, settings
-        self.generator = torch.Generator().manual_seed(seed)
+        self.generator = random_generator(reconstruction.environment.device, seed)
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         metal = is_mostly_metal(g)
@@ -99,7 +99,7 @@ class Refinement:
         views = int(pool.number.max()) + 1
         held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros_like(pool.number, dtype=torch.bool)
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
-        self.tested = tested[torch.randperm(len(tested), generator=self.generator)[:TEST_PIXELS].to(tested.device)]
+        self.tested = tested[_shuffled(len(tested), self.generator)[:TEST_PIXELS]]
         self.trained = torch.nonzero(~held)[:, 0]
         self._metal = self.trained[:0] if metal else self.trained[self._are_metal(self.trained)]
         self.counts = split_samples(settings.samples, SAMPLE_FRACTIONS["metal" if metal else "low-gloss"])
@@ -142,7 +142,7 @@ class Refinement:
 
     def test(self) -> float:
         """Return the PSNR in dB of the shaded pixels of the held-back views without the noise of the samples, which are always the same."""
-        generator = torch.Generator().manual_seed(0)
+        generator = random_generator(self.device, 0)
         squared = torch.cat([self.errors(pixels, TEST_SAMPLES, generator)[0] for pixels in self.tested.split(1000)])
         return -10 * math.log10(max(float(squared.mean()), 1e-10))
 
@@ -258,7 +258,7 @@ class Refinement:
 
     def _smoothness(self) -> torch.Tensor:
         """Return the weighted mean difference of materials between neighbours of similar albedo."""
-        pick = torch.randperm(len(self._similarity), generator=self.generator)[:SMOOTHED_GAUSSIANS].to(self._similarity.device)
+        pick = _shuffled(len(self._similarity), self.generator)[:SMOOTHED_GAUSSIANS]
         materials, around = self.optimizer.gaussians.materials(), self._neighbours[pick]
         # gather, not [around]: the gradient of indexing is summed in an order that depends on the threads.
         others = materials.gather(1, around.reshape(1, -1).expand(len(materials), -1)).view(-1, *around.shape)
@@ -270,9 +270,14 @@ class Refinement:
     def _white_balance(self, light: torch.Tensor) -> torch.Tensor:
         """Return the weighted deviation of the mean light (H, 2H, 3), over solid angle, from grey."""
         height, width = light.shape[:2]
-        angles = solid_angles(height, width).to(light.device)
+        angles = solid_angles(height, width, device=light.device)
         mean = (light * angles[:, None, None]).sum((0, 1)) / (4 * math.pi)
         return self.settings.white_balance * (mean - mean.mean()).abs().mean()
+
+
+def _shuffled(count: int, generator: torch.Generator) -> torch.Tensor:
+    """Return the numbers below `count` in random order, on the generator's device: the host does not wait for it."""
+    return torch.randperm(count, generator=generator, device=generator.device)
 
 
 def similar_neighbours(gaussians: Gaussians) -> tuple[torch.Tensor, torch.Tensor]:
