@@ -24,7 +24,7 @@ from .io.run_files import CAPTURE, check_claim
 from .machine.blender_process import NoBlender
 from .machine.compilation import compilation_announced
 from .machine.cpu_memory import check_texture_memory
-from .machine.devices import ChosenDevice, choose_device, computing_on
+from .machine.devices import ChosenDevice, computing_on
 from .machine.disk_space import check_disk_space
 from .machine.job_time import estimate_seconds, in_words, record_job
 from .machine.peak_memory import peak_memory, reset_peak_memory
@@ -34,6 +34,7 @@ from .progress.recorder import ProgressRecorder
 from .relight.backends import best_backend, open_relighter
 from .relight.relight_settings import RelightSettings
 from .rendering.gbuffer_cache import GBufferCache
+from .rendering.trusted_device import trusted_device
 from .run_folder import RunFolder, read_run
 from .scene.camera_files import save_cameras
 from .scene.dataset import Dataset
@@ -82,7 +83,7 @@ def reconstruct(
     """
     watcher = progress or Silent()
     overrides.check(settings)
-    chosen = choose_device(settings.device)
+    chosen = trusted_device(settings.device, watcher.message)
     check_claim(run, resume, overwrite)
     began = time.monotonic()
     reset_peak_memory()

@@ -11,9 +11,9 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.run_files import FINE_SURFACE
-from ..machine.devices import best
 from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
+from ..rendering.trusted_device import trusted_device
 from ..scene.camera_files import load_run_cameras
 from ..scene.edited_mesh import EditedMesh, load_edited_mesh
 from ..scene.mesh import Mesh, joined_quads
@@ -91,7 +91,7 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progr
     """
     given = quad_mesh(run, target.quads, progress) if target.quads is not None else None
     given = load_edited_mesh(target.edited) if target.edited else given
-    reconstruction = Reconstruction.load(run).to(best())
+    reconstruction = Reconstruction.load(run).to(trusted_device().device)
     if given is not None and target.edited is not None:
         _check_place(given, reconstruction, target.edited)
     cameras = [placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"]

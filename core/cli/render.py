@@ -39,15 +39,15 @@ def render(args: argparse.Namespace, terminal: Terminal) -> int:
         terminal: receives the progress.
     """
     with quick_imports():
-        from ..machine.devices import best
         from ..relight.backends import best_backend, open_relighter
         from ..relight.render_views import load_lamps, load_light, render_views
+        from ..rendering.trusted_device import trusted_device
         from ..scene.reconstruction import Reconstruction
 
     settings = from_dict(read_run(args.run)["settings"], args.run / "run.json")
     lights = [load_light(*one, progress=terminal) for one in _lights(args)]
     lamps = load_lamps(args.lamps) if args.lamps is not None else ()
-    reconstruction = Reconstruction.load(args.run).to(best(args.device))
+    reconstruction = Reconstruction.load(args.run).to(trusted_device(args.device).device)
     relight = replace(
         relight_settings(args),
         samples=args.samples,

@@ -15,12 +15,12 @@ import numpy as np
 
 from ..errors import Cancelled, InputError
 from ..io.atomic import write_atomic
-from ..machine.devices import best
 from ..progress.protocol import Progress, Silent
 from ..relight.backends import Backend, best_backend, open_relighter
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relight_settings import RelightSettings
 from ..relight.relighter import Relighter
+from ..rendering.trusted_device import trusted_device
 from ..scene.camera import Camera
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
@@ -96,7 +96,7 @@ def evaluate(
     choices = protocol_named(protocol)
     choices = choices if samples is None else replace(choices, samples=samples)
     distances = {"": found} if lpips is not None and (found := find_lpips(lpips)) else _distances(choices)
-    reconstruction = Reconstruction.load(run).to(best(device))
+    reconstruction = Reconstruction.load(run).to(trusted_device(device).device)
     cases = read_cases(reconstruction, dataset, settings or DataSettings(), progress, choices.relit_views, views)
     backend = backend or best_backend(run)
     relight = replace(relight or RelightSettings(), samples=choices.samples)

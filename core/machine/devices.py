@@ -98,11 +98,6 @@ def choose_device(name: str, probe: Callable[[], cuda.CudaInfo] = cuda.probe_cud
     return ChosenDevice(torch.device("cpu"), f"cuda can't be used: {obstacle[0]}")
 
 
-def best(name: str = "auto") -> torch.device:
-    """Return the device of a choice, see `choose_device`; by default the GPU if one can be used, else the CPU."""
-    return choose_device(name).device
-
-
 @contextmanager
 def computing_on(chosen: ChosenDevice, resumable: bool = False) -> Iterator[None]:
     """Use the chosen device's kernels within the block, and translate the GPU's errors into one line each.

@@ -13,8 +13,8 @@ from typing import Any
 import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import numpy as np
 import torch
-from irgspp.core.kernels.warp import photometric as losses
 from irgspp.core.kernels.warp import nodes, rasterize, runtime, tree
+from irgspp.core.kernels.warp import photometric as losses
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import backend
 from irgspp.core.rendering.secondary_rays import SecondaryTracer

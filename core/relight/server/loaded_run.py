@@ -14,7 +14,7 @@ import numpy as np
 import torch
 
 from ...errors import InputError
-from ...machine.devices import best
+from ...rendering.trusted_device import trusted_device
 from ...scene.camera import Camera
 from ...scene.camera_files import load_run_cameras
 from ...scene.environment_files import repair_environment
@@ -150,7 +150,7 @@ class LoadedRun:
 
     def __init__(self, run: Path, tick: Callable[[float], None] = lambda fraction: None) -> None:
         self._run, self._tick = run, tick
-        self._device = best()
+        self._device = trusted_device().device
         self.reconstruction = Reconstruction.load(run).to(self._device)
         self._mesh = load_mesh_query(run, self.reconstruction.bound.radius, self._device)
         self._gaussians: GaussianQuery | None = None
