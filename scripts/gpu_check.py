@@ -57,12 +57,12 @@ def _parts(args: argparse.Namespace, work: Work, size: Size, device: torch.devic
     """Return the parts in order, by name."""
     dataset = args.dataset or (DEMO_DATA if args.quick else None)
     name, run = WARP_ON_CPU if args.device == "cpu" else "cuda", args.run or scratch / "run"
-    omitted = Measurement("whole job", "not run: give --dataset", "<= 10 min")
+    omitted = Measurement("whole job", "not run: give --dataset", measurements.JOB_TARGETS[args.preset])
     return [
         ("correctness", lambda: measurements.correctness(device, args.quick)),
         ("iterations", lambda: measurements.steps(work, size, device)),
         ("relighting", lambda: measurements.relighting(work, size, device)),
-        ("job", lambda: omitted if dataset is None else measurements.job(dataset, run, name, TINY if args.quick else ())),
+        ("job", lambda: omitted if dataset is None else measurements.job(args.preset, dataset, run, name, TINY if args.quick else ())),
         ("memory of these", lambda: measurements.memory(device)),
         ("bandwidth", lambda: measurements.bandwidth(work, size, device)),
         ("profile", lambda: measurements.profile(work, size, device)),
@@ -93,6 +93,7 @@ def _arguments() -> argparse.Namespace:
     parser.add_argument("--device", choices=("cuda", "cpu"), default="cuda", help="cpu: the GPU's kernels on warp's CPU device")
     parser.add_argument("--quick", action="store_true", help="everything small")
     parser.add_argument("--dataset", type=Path, help="for the whole job, such as one that scripts/render_dataset.py made at 800x800")
+    parser.add_argument("--preset", choices=list(measurements.JOB_TARGETS), default="balanced", help="preset of that job")
     parser.add_argument("--run", type=Path, help="folder to keep that job's run in (default: it is deleted)")
     parser.add_argument("--json", type=Path, metavar="FILE", help="also write the table as JSON")
     parser.add_argument("--only", action="append", default=[], metavar="WORD", help="only parts with this word in their name")
