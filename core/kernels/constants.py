@@ -39,6 +39,7 @@ DIELECTRIC_F0 = 0.04  # reflectance at normal incidence of what is no metal
 # Fresnel's equations for an index of refraction of 1.5, as Blender's Principled BSDF evaluates them: F = F0 + (1 - F0) w with
 # w = x^3 (a0 + a1 x + ... + a4 x^4), x = 1 - v.h. The fit is within 0.3 % of F. Schlick's x^5 gives 16 to 23 % less from 45 to 60 degrees.
 FRESNEL = (1.0665, -4.4816, 10.7476, -11.3225, 4.99)
+COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
 SHORTEST2 = 1e-7  # lower bound of |view + light direction|^2
 LEAST_ALPHA = 0.05**2  # least alpha of sampled lobes, and of the principled BRDF's: roughness below 0.05 is treated as 0.05
 IRGS_DENOMINATOR = (1e-6, 4 * np.pi)  # bounds of the denominator of IRGS' specular lobe, which cap lobes of a roughness below 0.12

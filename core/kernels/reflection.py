@@ -1,19 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """BRDF-weighted sums over light samples, differentiable, in one pass: as separate operations they would be limited by memory bandwidth.
 
-CPU only; on a GPU and in float64 `core/shading/rendering_equation.py` uses its own PyTorch version, `weighted_sums_reference`.
+In float64 `core/shading/rendering_equation.py` uses its own PyTorch version, `weighted_sums_reference`.
 """
 
 from __future__ import annotations
 
 import torch
 
+from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .cpu.reflection import reflect_backward_range, reflect_range
 
 
 class _Reflect(torch.autograd.Function):
-    """Autograd function over the numba kernels."""
+    """Autograd function of the CPU (numba) backend."""
 
     @staticmethod
     def forward(ctx, view, normal, alpha, direction, density, incoming):
@@ -47,9 +48,14 @@ def weighted_sums(
         alpha: (P,) GGX width.
         direction: (P, N, 3) unit sample directions, constant.
         density: (P, N) density q of the samples per steradian, constant.
-        incoming: (P, N, 3) linear radiance along them. All tensors float32 on the CPU.
+        incoming: (P, N, 3) linear radiance along them. All tensors float32.
 
     Returns:
         (P, 3 sums, 3 channels), differentiable in view, normal, alpha and incoming.
     """
-    return _Reflect.apply(view, normal, alpha, direction, density, incoming)  # type: ignore[return-value]
+    arguments = (view, normal, alpha, direction, density, incoming)
+    if not by_warp(incoming):
+        return _Reflect.apply(*arguments)  # type: ignore[return-value]
+    from .warp.weighted_sums import WeightedSums  # Warp is an optional dependency
+
+    return WeightedSums.apply(*arguments)  # type: ignore[return-value]

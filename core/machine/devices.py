@@ -108,7 +108,8 @@ def computing_on(chosen: ChosenDevice, resumable: bool = False) -> Iterator[None
     """
     from .backend import warp_on_cpu
 
-    with warp_on_cpu(chosen.warp), cuda.translate_gpu_errors(resumable):
+    # Beside a GPU, tensors of the CPU stay with the CPU's kernels.
+    with warp_on_cpu(chosen.warp and chosen.device.type == "cpu"), cuda.translate_gpu_errors(resumable):
         yield
 
 

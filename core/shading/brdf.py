@@ -14,9 +14,7 @@ import math
 
 import torch
 
-from ..kernels.constants import DIELECTRIC_F0, FRESNEL, IRGS_DENOMINATOR, IRGS_FRESNEL, LEAST_ALPHA
-
-COSINE_FLOOR = 1e-3  # of n.v: at silhouettes an averaged normal may point away from the camera
+from ..kernels.constants import COSINE_FLOOR, DIELECTRIC_F0, FRESNEL, IRGS_DENOMINATOR, IRGS_FRESNEL, LEAST_ALPHA
 
 
 def ggx_alpha(roughness: torch.Tensor) -> torch.Tensor:

@@ -11,7 +11,6 @@ import math
 import torch
 
 from ..kernels.reflection import weighted_sums
-from ..machine.backend import by_warp
 from ..settings.schema import Brdf
 from .brdf import base_reflectance, bend_view_to_normal, ggx_alpha, irgs_lobe, specular_lobe
 from .sampling import Samples
@@ -51,7 +50,7 @@ def reflect_light(
     if brdf == "irgs":
         sums, metallic, conserving = irgs_sums(view, normal, roughness, *sampled), torch.zeros_like(metallic), False
     else:
-        use_kernel = incoming.dtype == torch.float32 and not by_warp(incoming)
+        use_kernel = incoming.dtype == torch.float32
         sums = (weighted_sums if use_kernel else weighted_sums_reference)(view, normal, ggx_alpha(roughness), *sampled)
     irradiance, f0_term, fresnel_term = sums.unbind(1)  # the last axis is colour
     diffuse = (1 - metallic[:, None]) * albedo * irradiance / math.pi

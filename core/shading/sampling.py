@@ -109,14 +109,16 @@ def draw(
     with torch.no_grad():
         if isinstance(shift, torch.Generator):
             shift = torch.rand(len(view), 2, generator=shift, dtype=view.dtype, device=shift.device)
-        frame, shift = orthonormal_basis(normal), shift.to(view)
+        shift, first = shift.to(view), counts[0] + counts[1] if light_only else 0
+        if method == "mis" and view.dtype == torch.float32 and by_warp(view):
+            return _mixture_on_gpu(view, normal, ggx_alpha(roughness), counts, first, light, shift)
+        frame = orthonormal_basis(normal)
         if method == "stratified":
             local = _uniform(shifted_points(sum(counts), shift))
             return Samples(local @ frame.mT, torch.full(local.shape[:2], 0.5 / math.pi, dtype=view.dtype, device=view.device))
         local_view = bend_view_to_normal(view, normal)[:, None] @ frame
-        use_kernel = view.dtype == torch.float32 and not by_warp(view)
-        first = counts[0] + counts[1] if light_only else 0
-        return (_mixture if use_kernel else _mixture_reference)(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
+        mixture = _mixture if view.dtype == torch.float32 else _mixture_reference
+        return mixture(local_view, frame, ggx_alpha(roughness), counts, first, light, shift)
 
 
 def _mixture(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
@@ -137,6 +139,15 @@ def _mixture(local_view, frame, alpha, counts, first: int, light: LightDistribut
     tables = [t.contiguous().numpy() for t in (light.rows, light.columns, light.edges, light.texels, direction, density)]
     run_ranges(draw_range, even_ranges(len(frame), 4 * thread_count()), *points, first, *tables)
     return Samples(direction, density.clamp_(min=DENSITY_FLOOR))
+
+
+def _mixture_on_gpu(view, normal, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:
+    """Draw the mixture by the Warp kernel; arguments as of `_mixture`, but for view and normal (P, 3) in place of local ones."""
+    from ..kernels.warp.directions import draw_mixture  # Warp is an optional dependency
+
+    points = [points_on(count, torch.float64, view.device) for count in counts]
+    tables = [light.rows, light.columns, light.edges, light.texels]
+    return Samples(*draw_mixture(view, normal, alpha, shift, points, first, tables, DENSITY_FLOOR))
 
 
 def _mixture_reference(local_view, frame, alpha, counts, first: int, light: LightDistribution, shift) -> Samples:

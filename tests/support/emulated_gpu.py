@@ -15,7 +15,20 @@ import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wai
 import torch
 import warp as wp
 from irgspp.core import pipeline
-from irgspp.core.kernels.warp import bilateral, light, lobes, mesh, nodes, photometric, rasterize, runtime, tree
+from irgspp.core.kernels.warp import (
+    bilateral,
+    directions,
+    light,
+    lightmap,
+    lobes,
+    mesh,
+    nodes,
+    photometric,
+    rasterize,
+    runtime,
+    tree,
+    weighted_sums,
+)
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
@@ -97,7 +110,7 @@ def emulate() -> None:
             assert not isinstance(value, torch.Tensor) or isinstance(value, EmulatedTensor), f"{kernel.key}: a tensor on {value.device}"
         start(kernel, dim, *(raw_of(value.detach()) if isinstance(value, torch.Tensor) else value for value in inputs))
 
-    for module in (bilateral, light, lobes, mesh, nodes, photometric, rasterize, tracing, tree):
+    for module in (bilateral, directions, light, lightmap, lobes, mesh, nodes, photometric, rasterize, tracing, tree, weighted_sums):
         module.launch = launch
     wp.from_torch = lambda tensor, *rest, **named: wrap(raw_of(tensor), *rest, **named)
     tree._identity = lambda tensor: (raw_of(tensor.detach()).data_ptr(), tensor._version, tensor.shape)

@@ -12,6 +12,7 @@ import torch
 import warp as wp
 
 from ..constants import LEAST_ALPHA
+from .lightmap import place_of
 from .reflection import Point, irgs_lobe, lobe, point_of
 from .runtime import launch
 
@@ -23,12 +24,6 @@ Sums = wp.types.vector(length=12, dtype=wp.float32)
 def point_at(view: wp.array(dtype=wp.vec3), normal: wp.array(dtype=wp.vec3), alpha: wp.array(dtype=float), p: int) -> Point:
     """Return shading point p; its alpha is that of the samples, which has a lower bound."""
     return point_of(normal[p], view[p], wp.dot(normal[p], view[p]), wp.max(alpha[p], _LEAST_ALPHA))
-
-
-@wp.func
-def place_of(d: wp.vec3) -> wp.vec2:
-    """Return u, v of a direction in a lat-long map."""
-    return wp.vec2(0.5 - wp.atan2(d[1], d[0]) / _TURN, wp.atan2(wp.sqrt(d[0] * d[0] + d[1] * d[1]), d[2]) / _PI)
 
 
 @wp.func

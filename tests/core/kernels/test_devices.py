@@ -12,12 +12,15 @@ import torch
 import trimesh
 from irgspp.core.kernels.photometric import photometric_loss
 from irgspp.core.kernels.rasterize import rasterize
+from irgspp.core.kernels.reflection import weighted_sums
 from irgspp.core.kernels.trace import blend, build_tree, hit_lists, trace, transmittance
 from irgspp.core.machine.backend import incomplete_images, warp_on_cpu
 from irgspp.core.machine.cuda import cuda_obstacle, probe_cuda
 from irgspp.core.relight.mesh_tracer import EmbreeTracer, mesh_tracer
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh import Mesh
+from irgspp.core.shading.light_distribution import LightDistribution
+from irgspp.core.shading.sampling import draw
 
 pytest.importorskip("warp")
 CAMERA = Camera(75, 53, 90.0, 88.0, 37.0, 26.0, look_at((2.5, 1.5, 2.0)))
@@ -157,6 +160,42 @@ def test_a_refitted_tree_finds_moved_gaussians(device):
     agree(found.cpu(), trace(*moved, *on(device, lines, False), build_tree(*moved[:4])).cpu())
 
 
+@pytest.mark.parametrize("counts", [(5, 7, 4), (0, 6, 3), (8, 3, 0)])
+def test_samples_match_the_reference(device, counts):
+    """In float64; where float32 rounds into another texel of the light, the density jumps."""
+    g = torch.Generator().manual_seed(14)
+    view, normal = (torch.nn.functional.normalize(torch.randn(200, 3, generator=g), dim=1) for _ in range(2))
+    roughness, shift, light = torch.rand(200, generator=g), torch.rand(200, 2, generator=g), torch.rand(8, 16, 3, generator=g) ** 4
+    exact = draw(view.double(), normal.double(), roughness.double(), counts, LightDistribution(light.double()), shift.double())
+    view, normal, roughness, shift, light = on(device, (view, normal, roughness, shift, light), False)
+    found = draw(view, normal, roughness, counts, LightDistribution(light), shift)
+    assert (found.direction.cpu() - exact.direction).norm(dim=2).max() < 2e-4
+    error = (found.density.cpu() / exact.density - 1).abs()
+    assert (error > 5e-3).float().mean() < 5e-3 and error.median() < 1e-5
+    if counts[2]:
+        only = draw(view, normal, roughness, counts, LightDistribution(light), shift, light_only=True)
+        assert torch.equal(only.direction, found.direction[:, -counts[2] :]) and torch.equal(only.density, found.density[:, -counts[2] :])
+
+
+def test_weighted_sums_match_numba(device):
+    g = torch.Generator().manual_seed(15)
+    normal, direction = (torch.nn.functional.normalize(torch.randn(*size, 3, generator=g), dim=-1) for size in ((60,), (60, 45)))
+    view = torch.nn.functional.normalize(normal + 0.7 * torch.nn.functional.normalize(torch.randn(60, 3, generator=g), dim=1), dim=1)
+    alpha, density, incoming = (
+        0.02 + torch.rand(60, generator=g),
+        0.05 + torch.rand(60, 45, generator=g),
+        torch.rand(60, 45, 3, generator=g),
+    )
+
+    def sums(view, normal, alpha, incoming):
+        place = incoming.device
+        return weighted_sums(view, normal, alpha, direction.to(place), density.to(place), incoming).flatten(1)
+
+    found, expected = numba_and(device, sums, (view, normal, alpha, incoming))
+    for a, b in zip(found, expected, strict=True):
+        assert (a - b).norm() < 1e-4 * b.norm()
+
+
 def test_a_run_repeats_bit_by_bit(device):
     inputs, results = [*cloud(300, 7), *rays(400, 8)], []
     for _ in range(2):
@@ -167,7 +206,7 @@ def test_a_run_repeats_bit_by_bit(device):
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
-MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light")
+MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light", "lightmap", "directions", "weighted_sums")
 
 
 @pytest.mark.long

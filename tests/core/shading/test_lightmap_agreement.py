@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The three lookups of lat-long maps (numpy for Blender's process, PyTorch, numba) agree within float32 rounding.
+"""The lookups of lat-long maps (numpy for Blender's process, PyTorch, numba, Warp) agree within float32 rounding.
 
 They are separate because Blender's process has no torch, gradients need PyTorch operations, and kernels need scalar code. Only within half
 a row of the poles they differ on purpose: numpy wraps the rows as Cycles does, the others clamp them.
@@ -10,6 +10,7 @@ import pytest
 import torch
 from irgspp.core.kernels.cpu import gathering
 from irgspp.core.kernels.cpu.directions import lightmap_place, texel_at
+from irgspp.core.machine.backend import warp_on_cpu
 from irgspp.core.scene import environment_map
 from irgspp.core.shading import environment_lookup
 
@@ -44,6 +45,10 @@ def test_coordinates_are_the_same():
     expected = np.array([lightmap_place(*(float(c) for c in d)) for d in direction])
     found = torch.stack(environment_lookup.direction_to_uv(torch.from_numpy(direction)), 1).numpy()
     np.testing.assert_allclose(found, expected, rtol=0, atol=2e-6)
+    pytest.importorskip("warp")
+    with warp_on_cpu():
+        by_warp = torch.stack(environment_lookup.direction_to_uv(torch.from_numpy(direction)), 1).numpy()
+    np.testing.assert_allclose(by_warp, expected, rtol=0, atol=2e-6)
 
 
 def test_bilinear_lookups_are_the_same_away_from_the_poles():
