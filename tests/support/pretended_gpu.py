@@ -15,6 +15,7 @@ import numpy as np
 import torch
 from irgspp.core.kernels.warp import image_loss, normal_consistency, rasterize, runtime
 from irgspp.core.kernels.warp import photometric as losses
+from irgspp.core.kernels.warp import split_sum as shading
 from irgspp.core.kernels.warp import trace as tracing
 from irgspp.core.machine import backend
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
@@ -102,7 +103,7 @@ def main() -> None:
             tracer = SecondaryTracer(known)
             pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0), 2)
             refinements.append(Refinement(known, pool, tracer, settings, 0))
-    for module in (rasterize, tracing, losses, normal_consistency, image_loss):
+    for module in (rasterize, tracing, losses, normal_consistency, image_loss, shading):
         module.launch = launch
     rasterize._on_its_way = lambda total: (0, None)
     room = rasterize.Room()
