@@ -70,6 +70,33 @@ def leads() -> int:
     ...
 
 
+POINTERS = 16  # of which a kernel takes so many at once
+Pointers = wp.types.vector(length=POINTERS, dtype=wp.uint64)
+
+
+@dataclass(frozen=True)
+class Addresses:
+    """Up to POINTERS contiguous tensors that a kernel takes by their addresses, as one parameter of type Pointers.
+
+    Attributes:
+        tensors: float32, on one device; the kernel must know their sizes. At least one.
+    """
+
+    tensors: Sequence[torch.Tensor]
+
+    @property
+    def device(self) -> torch.device:
+        """Device of the tensors."""
+        return self.tensors[0].device
+
+    def vector(self) -> Any:
+        """Return the addresses, 0 for those that are missing."""
+        for tensor in self.tensors:
+            if tensor.dtype != torch.float32 or not tensor.is_contiguous() or tensor.device != self.device:
+                raise ValueError(f"a kernel needs contiguous float32 tensors on one device, not {tuple(tensor.shape)} of {tensor.dtype}")
+        return Pointers(*[tensor.data_ptr() for tensor in self.tensors], *[0] * (POINTERS - len(self.tensors)))
+
+
 @dataclass(frozen=True)
 class _Array:
     """An array among a kernel's parameters: class of its descriptor, dimensions, torch's dtype, and values and bytes per entry."""
@@ -104,6 +131,13 @@ def _array(parameter: Any) -> _Array:
     return _Array(type(parameter.__ctype__()), parameter.ndim, dtype, width, width * dtype.itemsize)
 
 
+def _argument(value: Any, array: _Array | None) -> Any:
+    """Return tensors as a kernel takes them; any other value unchanged."""
+    if isinstance(value, Addresses):
+        return value.vector()
+    return value if array is None or not isinstance(value, torch.Tensor) else array.of(value)
+
+
 _commands: dict[tuple[Any, torch.device], Any] = {}  # launches to repeat with other arguments: much of a launch's time is its preparation
 _lock = threading.Lock()  # a command holds the arguments of one launch
 
@@ -114,14 +148,14 @@ def launch(kernel: Any, dim: int | Sequence[int], *inputs: Any) -> None:
     Args:
         kernel: Warp kernel.
         dim: number of threads per dimension.
-        *inputs: arguments of the kernel. Tensors must be contiguous; vectors are their last dimension, such as (N, 3) for vec3.
+        *inputs: arguments of the kernel, among them a tensor. Tensors must be contiguous; vectors are their last dimension, such as
+            (N, 3) for vec3.
     """
     size = (dim,) if isinstance(dim, int) else tuple(dim)
     if 0 in size:
         return
-    device = next(value.device for value in inputs if isinstance(value, torch.Tensor))
-    pairs = zip(inputs, _parameters(kernel), strict=True)
-    arguments = [value if array is None or not isinstance(value, torch.Tensor) else array.of(value) for value, array in pairs]
+    device = next(value.device for value in inputs if isinstance(value, (torch.Tensor, Addresses)))
+    arguments = [_argument(value, array) for value, array in zip(inputs, _parameters(kernel), strict=True)]
     with _lock:
         command = _commands.get((kernel, device))
         if command is None:
