@@ -13,7 +13,7 @@ from typing import Any
 import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import numpy as np
 import torch
-from irgspp.core.kernels.warp import adam, image_loss, normal_consistency, rasterize, runtime
+from irgspp.core.kernels.warp import adam, image_loss, light_map, normal_consistency, rasterize, runtime
 from irgspp.core.kernels.warp import photometric as losses
 from irgspp.core.kernels.warp import split_sum as shading
 from irgspp.core.kernels.warp import trace as tracing
@@ -104,7 +104,7 @@ def main() -> None:
             tracer = SecondaryTracer(known)
             pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0), 2)
             refinements.append(Refinement(known, pool, tracer, settings, 0))
-    for module in (rasterize, tracing, losses, normal_consistency, image_loss, shading, adam):
+    for module in (rasterize, tracing, losses, normal_consistency, image_loss, shading, adam, light_map):
         module.launch = launch
     rasterize._on_its_way = lambda total: (0, None)
     room = rasterize.Room()

@@ -140,7 +140,20 @@ def test_a_run_repeats_bit_by_bit(device):
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
-MODULES = ("splats", "surfels", "adjoint", "mesh", "photometric", "lobes", "light", "normal_consistency", "image_loss", "split_sum", "adam")
+MODULES = (
+    "splats",
+    "surfels",
+    "adjoint",
+    "mesh",
+    "photometric",
+    "lobes",
+    "light",
+    "normal_consistency",
+    "image_loss",
+    "split_sum",
+    "adam",
+    "light_map",
+)
 
 
 @pytest.mark.long
