@@ -52,7 +52,13 @@ def step_on(
 
 
 def adam_step(tensors: Sequence[AdamTensor], betas: tuple[float, float], epsilon: float) -> None:
-    """Do one step of Adam; arguments as those of core/kernels/adam.py. It never makes the host wait."""
+    """Do one step of Adam (Kingma and Ba 2015) without making the host wait.
+
+    Args:
+        tensors: what to step on, on one device.
+        betas: decay of the two moments.
+        epsilon: added to the root of the second moment.
+    """
     filled = [t for t in tensors if t.count]
     for first in range(0, len(filled), POINTERS):
         some = filled[first : first + POINTERS]

@@ -57,7 +57,16 @@ class LightVariation(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, log_light, edge):
-        """Return the variation of a light map (H, W, C), H >= 2, for an edge in log radiance between two texels."""
+        """Compute the variation.
+
+        Args:
+            ctx: autograd context.
+            log_light: (H, W, C) log radiance, H >= 2.
+            edge: difference between two texels that counts as an edge.
+
+        Returns:
+            Scalar variation.
+        """
         light = log_light.detach().contiguous()
         value, gradient = torch.empty_like(light), torch.empty_like(light)
         launch(vary, light.shape, light, edge, 1 / light.numel(), 1 / light[1:].numel(), value, gradient)

@@ -110,7 +110,18 @@ class NormalConsistency(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, rays, rotation, edge):
-        """Return the scalar loss; arguments as `consistency_gradient` takes them."""
+        """Compute the loss.
+
+        Args:
+            ctx: autograd context.
+            image: (C, H, W) sums of the rasteriser.
+            rays: (3, H, W) camera rays with z = 1.
+            rotation: (3, 3) world to camera.
+            edge: see `normal_consistency`.
+
+        Returns:
+            Scalar loss.
+        """
         cost, gradient = consistency_gradient(image.detach().contiguous(), rays, rotation, edge, 1.0)
         ctx.save_for_backward(gradient)
         return cost.sum()

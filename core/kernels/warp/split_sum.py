@@ -249,7 +249,20 @@ class Shade(torch.autograd.Function):
 
     @staticmethod
     def forward(ctx, image, stack, rays, rotation, tables, thresholds):
-        """Return the radiance (3, H, W); arguments as `shade_pixels` takes them, in another order."""
+        """Compute the radiance.
+
+        Args:
+            ctx: autograd context.
+            image: (C, H, W) sums of the rasteriser.
+            stack: (L, h, w, 3) prefiltered light.
+            rays: (3, H, W) world directions.
+            rotation: (3, 3) world to the frame of the light.
+            tables: roughness of each level (L,), and scale and bias of F0 (T, T, 2).
+            thresholds: as those of `shade_pixels`.
+
+        Returns:
+            (3, H, W) linear radiance with straight alpha.
+        """
         tensors = [t.detach().contiguous() for t in (image.flatten(1), rays.flatten(1), rotation, stack, *tables)]
         out = image.new_empty(3, *image.shape[1:])
         ctx.arguments = (*tensors, *thresholds)
