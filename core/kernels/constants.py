@@ -48,6 +48,9 @@ IRGS_FRESNEL = (-5.55473, -6.98316)  # Schlick's (1 - v.h)^5 as 2^((a v.h + b) v
 # where sin^2 of normal and half vector + alpha^2 is below NARROW times the solid angle; elsewhere it hardly varies from end to end.
 PER_STRATUM, NARROW = 16, 8.0
 
+# --- normal consistency
+DEPTH_FLOOR = 1e-3  # smallest opacity that sums of depths are divided by
+
 # --- SSIM: 11 x 11 Gaussian window of sigma 1.5
 SSIM_RADIUS = 5
 _taps = np.exp(-0.5 * (np.arange(-SSIM_RADIUS, SSIM_RADIUS + 1) / 1.5) ** 2)

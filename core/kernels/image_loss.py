@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Loss of an image of an object with a mask and its gradient, fused, on the CPU; core/stages/common/image_loss.py defines it in PyTorch."""
+"""Loss of an image of an object with a mask and its gradient, fused; core/stages/common/image_loss.py defines it in PyTorch."""
 
 from __future__ import annotations
 
@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from .cpu.image_loss import encode_backward_range, encode_range
 from .normal_consistency import consistency_gradient
 from .photometric import SSIM_WEIGHT, photometric_gradient
 
-MIN_PIXELS = 8  # lanes of one vector
+MIN_PIXELS = 8  # lanes of one vector of the CPU's kernels
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class MaskedTarget:
 
 
 class _MaskedLoss(torch.autograd.Function):
-    """Autograd function; the forward pass computes the gradient too."""
+    """Autograd function of the CPU (numba) backend; the forward pass computes the gradient too."""
 
     @staticmethod
     def forward(ctx, straight, sums, target):
@@ -75,9 +76,13 @@ def masked_loss(straight: torch.Tensor, sums: torch.Tensor, target: MaskedTarget
     Args:
         straight: (3, H, W) float32 linear radiance with straight alpha, of at least MIN_PIXELS pixels.
         sums: (C, H, W) float32 sums of `rasterize`; the gradient of the straight radiance is not part of theirs.
-        target: image to match, on the CPU, and weights.
+        target: image to match, on the same device, and weights.
 
     Returns:
         Scalar loss.
     """
-    return _MaskedLoss.apply(straight, sums, target)
+    if not by_warp(sums):
+        return _MaskedLoss.apply(straight, sums, target)
+    from .warp.image_loss import MaskedLoss  # Warp is an optional dependency
+
+    return MaskedLoss.apply(straight, sums, target)

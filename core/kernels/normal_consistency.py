@@ -10,9 +10,8 @@ import torch
 
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from .constants import DEPTH_FLOOR
 from .cpu.normal_consistency import depth_gradient_range, disagreement_range
-
-FLOOR = 1e-3  # smallest opacity that depths are divided by
 
 
 class _NormalConsistency(torch.autograd.Function):
@@ -34,7 +33,7 @@ def consistency_gradient(image: np.ndarray, rays: np.ndarray, rotation: np.ndarr
     """Compute `normal_consistency` and its gradient by the image, (C, H, W), on the CPU; all arrays are float32."""
     _, height, width = image.shape
     gradient, slopes = np.zeros_like(image), np.zeros((6, height + 2, width + 2), np.float32)
-    sums, floor = np.zeros(height), np.float32(FLOOR)
+    sums, floor = np.zeros(height), np.float32(DEPTH_FLOOR)
     inner = [(a + 1, b + 1) for a, b in even_ranges(height - 2, thread_count())]
     run_ranges(disagreement_range, inner, image, rays, rotation, floor, np.float32(edge), gradient, slopes, sums)
     run_ranges(depth_gradient_range, even_ranges(height, thread_count()), image, rays, floor, slopes, gradient)
@@ -73,9 +72,13 @@ def normal_consistency(image: torch.Tensor, rays: torch.Tensor, rotation: torch.
     Returns:
         Scalar; the outer alpha is detached.
     """
-    if image.dtype == torch.float32 and not by_warp(image):
+    if image.dtype != torch.float32:
+        return normal_consistency_reference(image, rays, rotation, edge)
+    if not by_warp(image):
         return _NormalConsistency.apply(image, rays, rotation, edge)
-    return normal_consistency_reference(image, rays, rotation, edge)
+    from .warp.normal_consistency import NormalConsistency  # Warp is an optional dependency
+
+    return NormalConsistency.apply(image, rays, rotation, edge)
 
 
 def normal_consistency_reference(image: torch.Tensor, rays: torch.Tensor, rotation: torch.Tensor, edge: float = math.inf) -> torch.Tensor:
@@ -89,7 +92,7 @@ def normal_consistency_reference(image: torch.Tensor, rays: torch.Tensor, rotati
     """
     alpha = image[-1]
     # Not detached here: sum(w z) / sum(w) must not increase the depth when a splat only grows more opaque.
-    surface = depth_normals(image[-2] / alpha.clamp_min(FLOOR), rays)
+    surface = depth_normals(image[-2] / alpha.clamp_min(DEPTH_FLOOR), rays)
     splat = torch.einsum("ij,jhw->ihw", rotation, image[3:6, 1:-1, 1:-1])
     weight = alpha.detach()[1:-1, 1:-1]
     disagreement = weight - (splat * surface).sum(0)

@@ -1,17 +1,20 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Deferred split-sum shading of the rasteriser's sums, differentiable, on the CPU; core/rendering/deferred.py defines it in PyTorch."""
+"""Deferred split-sum shading of the rasteriser's sums, differentiable; core/rendering/deferred.py defines it in PyTorch."""
 
 from __future__ import annotations
+
+from functools import cache
 
 import numpy as np
 import torch
 
+from ..machine.backend import by_warp
 from ..machine.thread_pool import balanced_ranges, run_ranges, thread_count
 from .cpu.split_sum import shade_backward_range, shade_range
 
 
 class _Shade(torch.autograd.Function):
-    """Autograd function; ranges of pixels are balanced by how many of them reflect."""
+    """Autograd function of the CPU (numba) backend; ranges of pixels are balanced by how many of them reflect."""
 
     @staticmethod
     def forward(ctx, image, stack, rays, rotation, tables, thresholds):
@@ -50,11 +53,21 @@ def shade_pixels(
         rays: (3, H, W) world directions of any length, without a gradient.
         stack: (L, h, w, 3) float32 prefiltered light; L = 0: nothing reflects.
         rotation: (3, 3) world to the frame of the light, None where it stands still; without a gradient.
-        tables: roughness of each level (L,), and scale and bias of F0 in the specular albedo (T, T, 2).
+        tables: roughness of each level (L,), and scale and bias of F0 in the specular albedo (T, T, 2), on the image's device.
         thresholds: opacity above which a pixel reflects, and the smallest opacity that sums are divided by.
 
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
-    turn = torch.eye(3) if rotation is None else rotation.contiguous()
-    return _Shade.apply(image, stack, rays, turn, tables, thresholds)
+    turn = _identity(image.device) if rotation is None else rotation.contiguous()
+    if not by_warp(image):
+        return _Shade.apply(image, stack, rays, turn, tables, thresholds)
+    from .warp.split_sum import Shade  # Warp is an optional dependency
+
+    return Shade.apply(image, stack, rays, turn, tables, thresholds)
+
+
+@cache
+def _identity(device: torch.device) -> torch.Tensor:
+    """Return the (3, 3) rotation of a light that stands still, on a device."""
+    return torch.eye(3, device=device)

@@ -8,6 +8,7 @@ Ref-Gaussian (ICLR 2025), evaluated in linear light.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 
 import torch
 
@@ -69,14 +70,15 @@ def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = R
     return SurfacePixels(index, view, normal, colour, albedo, mean[EXTRA + 3], mean[EXTRA + 4], sums[-1])
 
 
-def _by_kernel(image: torch.Tensor) -> bool:
-    """Return True where the CPU's kernel shades an image (C, H, W); it computes in float32."""
-    return image.dtype == torch.float32 and not by_warp(image)
+@cache
+def _tables(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
+    """Return the roughness of each level (L,) and the table of the BRDF (T, T, 2) on a device."""
+    return level_roughness().to(device), brdf_table().to(device)
 
 
 def _shaded(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None) -> torch.Tensor:
-    """Return the radiance (3, H, W) that the CPU's kernel computes; without levels in the stack nothing reflects."""
-    return shade_pixels(image, rays, stack, light_rotation, (level_roughness(), brdf_table()), (REFLECTING, ALPHA_FLOOR))
+    """Return the radiance (3, H, W) that the kernels compute; without levels in the stack nothing reflects."""
+    return shade_pixels(image, rays, stack, light_rotation, _tables(image.device), (REFLECTING, ALPHA_FLOOR))
 
 
 def splat_radiance(image: torch.Tensor) -> torch.Tensor:
@@ -100,7 +102,7 @@ def reflective_radiance(
     Returns:
         (3, H, W) linear radiance with straight alpha. The image and the stack have gradients.
     """
-    if _by_kernel(image):
+    if image.dtype == torch.float32:  # which the kernels compute in
         return _shaded(image, rays, stack, light_rotation)
     return reflective_radiance_reference(image, rays, stack, light_rotation)
 
@@ -143,7 +145,7 @@ def radiance(
     """
     if light is not None:
         return reflective_radiance(image, rays, specular_light(light), light_rotation)
-    return _shaded(image, rays, image.new_empty(0, 1, 1, 3), None) if _by_kernel(image) else splat_radiance(image)
+    return _shaded(image, rays, image.new_empty(0, 1, 1, 3), None) if image.dtype == torch.float32 else splat_radiance(image)
 
 
 def background_radiance(background: torch.Tensor, rays: torch.Tensor, light_rotation: torch.Tensor | None = None) -> torch.Tensor:

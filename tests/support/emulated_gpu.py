@@ -15,21 +15,7 @@ import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wai
 import torch
 import warp as wp
 from irgspp.core import pipeline
-from irgspp.core.kernels.warp import (
-    bilateral,
-    directions,
-    light,
-    lightmap,
-    lobes,
-    mesh,
-    nodes,
-    photometric,
-    rasterize,
-    runtime,
-    tree,
-    weighted_sums,
-)
-from irgspp.core.kernels.warp import trace as tracing
+from irgspp.core.kernels.warp import runtime, tree
 from irgspp.core.machine import devices
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.prepared_light import prepare_light
@@ -101,17 +87,25 @@ def raw_of(value: Any) -> Any:
     return value.raw if isinstance(value, EmulatedTensor) else value
 
 
+def raw_argument(value: Any) -> Any:
+    if isinstance(value, runtime.Addresses):
+        return runtime.Addresses([raw_of(tensor) for tensor in value.tensors])
+    return raw_of(value.detach()) if isinstance(value, torch.Tensor) else value
+
+
 def emulate() -> None:
     """Let kernels work on the values of emulated tensors, and reject tensors of the CPU."""
     start, wrap = runtime.launch, wp.from_torch
 
     def launch(kernel: Any, dim: Any, *inputs: Any) -> None:
         for value in inputs:
-            assert not isinstance(value, torch.Tensor) or isinstance(value, EmulatedTensor), f"{kernel.key}: a tensor on {value.device}"
-        start(kernel, dim, *(raw_of(value.detach()) if isinstance(value, torch.Tensor) else value for value in inputs))
+            tensors = value.tensors if isinstance(value, runtime.Addresses) else [value] if isinstance(value, torch.Tensor) else []
+            assert all(isinstance(tensor, EmulatedTensor) for tensor in tensors), f"{kernel.key}: a tensor on {value.device}"
+        start(kernel, dim, *map(raw_argument, inputs))
 
-    for module in (bilateral, directions, light, lightmap, lobes, mesh, nodes, photometric, rasterize, tracing, tree, weighted_sums):
-        module.launch = launch
+    for module in [module for name, module in sys.modules.items() if name.startswith("irgspp.core.kernels.warp.")]:
+        if hasattr(module, "launch"):  # others import it from `runtime` when they are needed
+            module.launch = launch
     wp.from_torch = lambda tensor, *rest, **named: wrap(raw_of(tensor), *rest, **named)
     tree._identity = lambda tensor: (raw_of(tensor.detach()).data_ptr(), tensor._version, tensor.shape)
     make = torch.tensor  # it reads its values without the dispatch modes

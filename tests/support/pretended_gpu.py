@@ -7,15 +7,14 @@ devices. Kernels are not launched; their arguments are checked.
 
 import dataclasses
 import os
+import sys
 from pathlib import Path
 from typing import Any
 
 import irgspp.core  # noqa: F401  (before torch: it sets how torch's threads wait)
 import numpy as np
 import torch
-from irgspp.core.kernels.warp import directions, lightmap, nodes, rasterize, runtime, tree, weighted_sums
-from irgspp.core.kernels.warp import photometric as losses
-from irgspp.core.kernels.warp import trace as tracing
+from irgspp.core.kernels.warp import rasterize, runtime
 from irgspp.core.machine import backend
 from irgspp.core.rendering.secondary_rays import SecondaryTracer
 from irgspp.core.scene.camera import Camera, look_at
@@ -40,7 +39,8 @@ launched: list[str] = []
 
 def launch(kernel: Any, dim: Any, *inputs: Any) -> None:
     """Check the arguments of a kernel instead of launching it: all tensors are on the GPU and contiguous."""
-    for value in inputs:
+    tensors = [t for value in inputs for t in (value.tensors if isinstance(value, runtime.Addresses) else [value])]
+    for value in tensors:
         if isinstance(value, torch.Tensor):
             assert value.device.type == NAME, f"{kernel.key}: a tensor on {value.device}"
             assert value.is_contiguous(), f"{kernel.key}: a tensor that is not contiguous"
@@ -102,8 +102,9 @@ def main() -> None:
             tracer = SecondaryTracer(known)
             pool = pool_pixels(data.train, tracer, 500, np.random.default_rng(0), 2)
             refinements.append(Refinement(known, pool, tracer, settings, 0))
-    for module in (directions, lightmap, nodes, rasterize, tracing, tree, weighted_sums, losses):
-        module.launch = launch
+    for module in [module for name, module in sys.modules.items() if name.startswith("irgspp.core.kernels.warp.")]:
+        if hasattr(module, "launch"):
+            module.launch = launch
     rasterize._on_its_way = lambda total: (0, None)
     room = rasterize.Room()
     room._entries = 4000

@@ -81,9 +81,9 @@ def across_slopes(slopes: wp.array(dtype=float), taps: wp.array(dtype=float), he
 @wp.kernel
 def gradient_of(
     blurred: wp.array(dtype=float), taps: wp.array(dtype=float), height: int, width: int, planes: int, x: wp.array(dtype=float),
-    y: wp.array(dtype=float), l1_weight: float, ssim_weight: float, gradient: wp.array(dtype=float),
+    y: wp.array(dtype=float), l1_weight: float, ssim_weight: float, cost: wp.array(dtype=float), gradient: wp.array(dtype=float),
 ):  # fmt: skip
-    """Compute d loss / d x, (C, H, W), from the horizontally blurred derivatives."""
+    """Compute d loss / d x, (C, H, W), from the horizontally blurred derivatives, and the cost of each value in place of its SSIM."""
     plane, row, column = wp.tid()
     s0, s1, s2 = float(0.0), float(0.0), float(0.0)
     for k in range(-_RADIUS, _RADIUS + 1):
@@ -99,6 +99,31 @@ def gradient_of(
     if a < b:
         side = -1.0
     gradient[here] = l1_weight * side - ssim_weight * (s0 + 2.0 * a * s1 + b * s2)
+    cost[here] = l1_weight * wp.abs(a - b) + ssim_weight * (1.0 - cost[here])
+
+
+def photometric_gradient(x: torch.Tensor, y: torch.Tensor, ssim_weight: float, factor: float) -> tuple[torch.Tensor, torch.Tensor]:
+    """Compute the photometric loss of x against y times a factor, and its gradient.
+
+    Args:
+        x: (C, H, W) float32 image, contiguous, without autograd history.
+        y: (C, H, W) float32 image to match, contiguous.
+        ssim_weight: weight of D-SSIM, 0..1.
+        factor: of cost and gradient.
+
+    Returns:
+        The cost of each value, (C, H, W), whose sum is the loss, and its gradient by x, (C, H, W).
+    """
+    planes, height, width = x.shape
+    taps, size = _taps(x.device), (height, width)
+    blurred, slopes = x.new_empty(5, *x.shape), x.new_empty(3, *x.shape)
+    cost, gradient = torch.empty_like(x), torch.empty_like(x)
+    launch(across, x.shape, x, y, taps, *size, planes, blurred)
+    launch(compare, x.shape, blurred, taps, *size, planes, cost, slopes)
+    launch(across_slopes, (3 * planes, *size), slopes, taps, *size, blurred[:3])
+    weights = (factor * (1 - ssim_weight) / x.numel(), factor * ssim_weight / x.numel())
+    launch(gradient_of, x.shape, blurred[:3], taps, *size, planes, x, y, *weights, cost, gradient)
+    return cost, gradient
 
 
 class Photometric(torch.autograd.Function):
@@ -117,19 +142,9 @@ class Photometric(torch.autograd.Function):
         Returns:
             Scalar loss.
         """
-        x, y = image.detach().contiguous(), target.contiguous()
-        planes, height, width = x.shape
-        taps = _taps(x.device)
-        blurred, slopes = x.new_empty(5, *x.shape), x.new_empty(3, *x.shape)
-        similarity, gradient = torch.empty_like(x), torch.empty_like(x)
-        size = (height, width)
-        launch(across, x.shape, x, y, taps, *size, planes, blurred)
-        launch(compare, x.shape, blurred, taps, *size, planes, similarity, slopes)
-        launch(across_slopes, (3 * planes, *size), slopes, taps, *size, blurred[:3])
-        weights = ((1 - ssim_weight) / x.numel(), ssim_weight / x.numel())
-        launch(gradient_of, x.shape, blurred[:3], taps, *size, planes, x, y, *weights, gradient)
+        cost, gradient = photometric_gradient(image.detach().contiguous(), target.contiguous(), ssim_weight, 1.0)
         ctx.save_for_backward(gradient)
-        return (1 - ssim_weight) * (x - y).abs().mean() + ssim_weight * (1 - similarity.mean())
+        return cost.sum()
 
     @staticmethod
     def backward(ctx, upstream):

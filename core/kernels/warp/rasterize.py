@@ -77,6 +77,12 @@ def _pinhole(cam: bytes) -> splats.Pinhole:
     return pinhole
 
 
+@lru_cache(16)
+def _edges(count: int, device: torch.device) -> torch.Tensor:
+    """Return the least sort key of each tile, (count,) int64."""
+    return torch.arange(count, device=device) << 32
+
+
 class Rasterize(torch.autograd.Function):
     """Autograd function of core/kernels/rasterize.py on the GPU."""
 
@@ -104,7 +110,8 @@ class Rasterize(torch.autograd.Function):
         pinhole, width, height = _pinhole(cam.tobytes()), int(cam[16]), int(cam[17])
         record, feature = torch.empty(n, SPLAT_RECORD, device=device), torch.empty(n, 6 + extras, device=device)
         box, tiles = torch.empty(n, 4, dtype=torch.int32, device=device), torch.empty(n, dtype=torch.int64, device=device)
-        launch(splats.project, n, *parameters, coefficients, extras, pinhole, n, record, feature, box, tiles)
+        statistics.radius = torch.empty(n, device=device)
+        launch(splats.project, n, *parameters, coefficients, extras, pinhole, n, record, feature, box, tiles, statistics.radius)
         end = torch.cumsum(tiles, 0)
         list_capacity = ROOMS.setdefault((n, width, height), Room())
         capacity = list_capacity.entries(end[-1], not any(ctx.needs_input_grad))
@@ -113,14 +120,12 @@ class Rasterize(torch.autograd.Function):
         owner = torch.empty(capacity, dtype=torch.int32, device=device)
         launch(splats.emit, n, box, record, end, tiles, columns, capacity, key, owner)
         key, index = torch.sort(key, stable=True)  # stable: at equal depth the Gaussian of lower index comes first
-        edges = torch.arange(columns * rows + 1, device=device) << 32
-        start = torch.searchsorted(key, edges, out_int32=True)
+        start = torch.searchsorted(key, _edges(columns * rows + 1, device), out_int32=True)
         image = torch.empty(9 + extras, height, width, device=device)
         lists = (start, index, owner, record, feature, box, columns, width, height)
         launch(kernels(6 + extras)[0], columns * rows * PIXELS, *lists, image)
         ctx.parameters, ctx.pinhole, ctx.coefficients, ctx.statistics = parameters, pinhole, coefficients, statistics
         ctx.lists, ctx.order, ctx.image = lists, (end, tiles, capacity), image
-        statistics.radius = (box[:, 2:] - box[:, :2]).amax(1).add(1).clamp_min(0)
         return image[:-1]
 
     @staticmethod

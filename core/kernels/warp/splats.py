@@ -116,8 +116,12 @@ def project(
     position: wp.array(dtype=float), quaternion: wp.array(dtype=float), log_scale: wp.array(dtype=float), opacity: wp.array(dtype=float),
     sh: wp.array(dtype=float), extra: wp.array(dtype=float), coefficients: int, extras: int, cam: Pinhole, n: int,
     record: wp.array2d(dtype=float), feature: wp.array2d(dtype=float), box: wp.array(dtype=wp.vec4i), tiles: wp.array(dtype=wp.int64),
+    radius: wp.array(dtype=float),
 ):  # fmt: skip
-    """Write records, features and pixel boxes as `project_range` of the CPU does, and the number of tiles that each splat touches, (N,)."""
+    """Write records, features and pixel boxes as `project_range` of the CPU does, and (N,) tiles that each splat touches.
+
+    radius: (N,) receives the longer side of the box in pixels, 0 for none.
+    """
     i = wp.tid()
     f = frame(position, quaternion, n, i, cam)
     su, sv = wp.exp(wp.max(log_scale[i], _LOG_SCALE_MIN)), wp.exp(wp.max(log_scale[n + i], _LOG_SCALE_MIN))
@@ -147,6 +151,7 @@ def project(
     if pixels[0] <= pixels[2]:
         count = (pixels[2] / _SIDE - pixels[0] / _SIDE + 1) * (pixels[3] / _SIDE - pixels[1] / _SIDE + 1)
     tiles[i] = wp.int64(count)
+    radius[i] = wp.where(count > 0, float(wp.max(pixels[2] - pixels[0], pixels[3] - pixels[1]) + 1), 0.0)
     b = basis(f.offset / wp.sqrt(wp.max(wp.dot(f.offset, f.offset), 1.0e-20)), coefficients)
     for channel in range(3):
         feature[i, channel] = wp.max(colour_channel(sh, b, coefficients, channel, n, i), 0.0)

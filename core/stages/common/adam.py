@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Adam: torch's, without torch's compiler, and for float32 on the CPU with a step that is one pass over all tensors."""
+"""Adam: torch's, without torch's compiler, and for float32 with a step that is one pass over all tensors."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ...kernels.adam import AdamTensor, adam_step
 
 
 class Adam(torch.optim.Adam):
-    """torch's Adam (Kingma and Ba 2015), the same up to rounding, and with the same state.
+    """torch's Adam (Kingma and Ba 2015), the same up to rounding, and with the same state, but that "step" is a number of the host.
 
     `torch.optim` wraps its methods for torch's compiler and imports that on the first call. The import takes seconds, and nothing here is
     compiled by it: the methods are called without their wrappers.
@@ -28,10 +28,10 @@ class Adam(torch.optim.Adam):
         """Do one step with the gradients of all parameters.
 
         Returns:
-            True where all new values are known to be finite; never where torch steps: on a GPU the answer would have to be waited for.
+            True where all new values are known to be finite; never on a GPU, where the answer would have to be waited for.
         """
         tensors = [(group, p) for group in self.param_groups for p in group["params"] if p.grad is not None]
-        if not all(p.device.type == "cpu" and p.dtype == torch.float32 and p.is_contiguous() for _, p in tensors):
+        if not all(p.dtype == torch.float32 and p.is_contiguous() for _, p in tensors):
             inspect.unwrap(torch.optim.Adam.step)(self)
             return False
         return adam_step([self._prepared(group, p) for group, p in tensors], self.defaults["betas"], self.defaults["eps"])
@@ -41,8 +41,8 @@ class Adam(torch.optim.Adam):
         assert p.grad is not None
         state = self.state[p]
         if not state:
-            state |= {"step": torch.zeros(()), "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
+            state |= {"step": 0, "exp_avg": torch.zeros_like(p), "exp_avg_sq": torch.zeros_like(p)}
         state["step"] += 1
         count = group["rows"] * p[0].numel() if "rows" in group else p.numel()
         moments = state["exp_avg"], state["exp_avg_sq"]
-        return AdamTensor(p, p.grad.contiguous(), *moments, int(state["step"]), group["lr"], count)
+        return AdamTensor(p, p.grad.contiguous(), *moments, state["step"], group["lr"], count)

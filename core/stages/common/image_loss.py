@@ -11,7 +11,6 @@ import torch
 from ...kernels.image_loss import MIN_PIXELS, MaskedTarget, masked_loss
 from ...kernels.normal_consistency import normal_consistency
 from ...kernels.photometric import photometric_loss
-from ...machine.backend import by_warp
 from ...rendering.deferred import composite
 from .training_view import TrainingView
 
@@ -61,7 +60,7 @@ def image_loss(
         weights: weights of the losses.
     """
     exact = view.alpha is not None and view.band is None and background is None
-    if exact and sums.dtype == torch.float32 and not by_warp(sums) and sums[0].numel() >= MIN_PIXELS:
+    if exact and sums.dtype == torch.float32 and sums[0].numel() >= MIN_PIXELS:
         assert view.alpha is not None
         geometry = (view.rays, view.rotation)
         weighted = weights.mask, weights.normal, weights.edge

@@ -7,6 +7,8 @@ import math
 
 import torch
 
+from ...machine.backend import by_warp
+
 LIGHT_SLOPE = 4.1  # change of the log light per radian from which it counts as an edge; 0.2 between texels of a map of 64 rows
 
 
@@ -22,8 +24,12 @@ def light_variation(log_light: torch.Tensor) -> torch.Tensor:
     Returns:
         The mean over pairs along rows, plus that along columns.
     """
-    across, down = log_light - torch.roll(log_light, 1, 1), log_light[1:] - log_light[:-1]
     edge = LIGHT_SLOPE * math.pi / len(log_light)
+    if by_warp(log_light) and log_light.dtype == torch.float32:
+        from ...kernels.warp.light_map import LightVariation  # Warp is an optional dependency
+
+        return LightVariation.apply(log_light, edge)
+    across, down = log_light - torch.roll(log_light, 1, 1), log_light[1:] - log_light[:-1]
     return _robust_mean(across, edge) + _robust_mean(down, edge)
 
 

@@ -169,7 +169,7 @@ class GaussianOptimizer:
     def state(self) -> dict[str, dict[str, torch.Tensor]]:
         """Return values and moments for a checkpoint."""
         moments = {g["name"]: dict(self.adam.state[g["params"][0]]) for g in self.adam.param_groups if g["params"][0] in self.adam.state}
-        flat = {f"{name}.{key}": value for name, state in moments.items() for key, value in state.items()}
+        flat = {f"{name}.{key}": torch.as_tensor(value, dtype=torch.float32) for name, s in moments.items() for key, value in s.items()}
         values = {k: v.detach() for k, v in self.leaves.items()}
         return {"values": values, "others": {k: v.detach() for k, v in self.others.items()}, "moments": flat}
 
@@ -206,7 +206,7 @@ class GaussianOptimizer:
             prefix = group["name"] + "."
             moments = {k.removeprefix(prefix): v.to(device) for k, v in state["moments"].items() if k.startswith(prefix)}
             if moments:
-                self.adam.state[group["params"][0]] = moments
+                self.adam.state[group["params"][0]] = moments | {"step": int(moments["step"])}
         self.coefficients = 16  # of the moments in a checkpoint, any may have been used
         self.check_finite()
 

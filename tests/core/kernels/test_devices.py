@@ -207,6 +207,7 @@ def test_a_run_repeats_bit_by_bit(device):
 
 
 MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light", "lightmap", "directions", "weighted_sums")
+MODULES += ("normal_consistency", "image_loss", "split_sum", "adam", "light_map")
 
 
 @pytest.mark.long

@@ -6,6 +6,7 @@ import torch
 from irgspp.core.rendering.deferred import radiance, reflective_radiance, reflective_radiance_reference, splat_radiance
 from irgspp.core.shading.split_sum import LEVELS, specular_light
 
+pytestmark = pytest.mark.usefixtures("engine")
 SHAPE = (21, 30)
 QUARTER = torch.tensor([[0.0, -0.6, 0.8], [1.0, 0.0, 0.0], [0.0, 0.8, 0.6]])
 
@@ -70,3 +71,24 @@ def test_without_a_light_the_kernel_divides_by_opacity():
     (expected * upstream).sum().backward()
     assert fast.grad is not None and slow.grad is not None
     assert (shown - expected).norm() <= 1e-6 * expected.norm() and (fast.grad - slow.grad).norm() <= 1e-6 * slow.grad.norm()
+
+
+def test_the_light_has_the_same_gradient_in_any_order_of_pixels(engine):
+    """Threads of a GPU arrive in any order; the sums of their integers are the same bit by bit."""
+    if engine == "numba":
+        pytest.skip("ranges of pixels are summed in order")
+    image, rays = sums()
+    generator = torch.Generator().manual_seed(1)
+    stack, upstream = specular_light(torch.rand(16, 32, 3, generator=generator)), torch.randn(3, *SHAPE, generator=generator)
+    one = computed(reflective_radiance, image, rays, stack, None, upstream)[2]
+    turned = [t.flip(1, 2).contiguous() for t in (image, rays, upstream)]
+    other = computed(reflective_radiance, *turned[:2], stack, None, turned[2])[2]
+    assert torch.equal(one, other)
+
+
+def test_a_gradient_that_is_nan_is_seen_in_that_of_the_light():
+    image, rays = sums()
+    stack = specular_light(torch.rand(16, 32, 3, generator=torch.Generator().manual_seed(1)))
+    upstream = torch.ones(3, *SHAPE)
+    upstream[0, -1, -1] = torch.nan
+    assert computed(reflective_radiance, image, rays, stack, None, upstream)[2].isnan().any()

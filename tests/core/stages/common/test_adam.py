@@ -7,6 +7,8 @@ import pytest
 import torch
 from irgspp.core.stages.common.adam import Adam
 
+pytestmark = pytest.mark.usefixtures("engine")
+
 
 def fitted(optimizer):
     """Parameters after some steps with different learning rates."""
@@ -35,7 +37,8 @@ def test_every_value_and_moment_is_stepped_on_once(count):
         for step in range(3):
             leaf.grad = gradient * (1 + step)
             adam.step()
-        states.append([leaf.detach(), *(adam.state[leaf][key] for key in ("step", "exp_avg", "exp_avg_sq"))])
+        state = [torch.as_tensor(adam.state[leaf][key], dtype=torch.float32) for key in ("step", "exp_avg", "exp_avg_sq")]
+        states.append([leaf.detach(), *state])
     assert all(torch.allclose(a, b, rtol=1e-5, atol=1e-7) for a, b in zip(*states, strict=True))
 
 
@@ -63,3 +66,17 @@ def test_the_compiler_is_not_imported(monkeypatch):
     adam.step()
     adam.zero_grad()
     assert torch.allclose(values, torch.tensor(0.9))
+
+
+def test_more_tensors_than_one_launch_takes_are_all_stepped_on():
+    generator, results = torch.Generator().manual_seed(0), []
+    start = [torch.randn(count % 4, 3, generator=generator) for count in range(40)]  # some of them empty
+    for optimizer in (Adam, torch.optim.Adam):
+        leaves = [value.clone().requires_grad_() for value in start]
+        adam = optimizer([{"params": [leaf], "lr": 0.01 * (1 + i)} for i, leaf in enumerate(leaves)], eps=1e-15, fused=True)
+        for _ in range(3):
+            sum((leaf**3).sum() for leaf in leaves).backward()
+            adam.step()
+            adam.zero_grad()
+        results.append(torch.cat(leaves).detach())
+    torch.testing.assert_close(*results, rtol=1e-5, atol=1e-6)

@@ -12,6 +12,7 @@ from irgspp.core.stages.common import image_loss as module
 from irgspp.core.stages.common.image_loss import LossWeights, displayed, image_loss, image_loss_reference
 from irgspp.core.stages.common.training_view import TrainingView, camera_rays
 
+pytestmark = pytest.mark.usefixtures("engine")
 WEIGHTS = LossWeights(mask=0.5, normal=0.2, edge=0.2)
 
 

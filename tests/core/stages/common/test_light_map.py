@@ -7,6 +7,20 @@ import pytest
 import torch
 from irgspp.core.stages.common.light_map import LIGHT_SLOPE, light_variation, resampled_light, resized_light
 
+pytestmark = pytest.mark.usefixtures("engine")
+
+
+@pytest.mark.parametrize("shape", [(2, 4, 3), (8, 16, 3), (5, 1, 3)])
+def test_variation_is_that_of_float64_with_its_gradient(shape):
+    light = 2 * torch.randn(shape, generator=torch.Generator().manual_seed(0))
+    one, exact = light.clone().requires_grad_(), light.double().requires_grad_()
+    found, expected = light_variation(one), light_variation(exact)
+    (3 * found).backward()
+    (3 * expected).backward()
+    assert one.grad is not None and exact.grad is not None
+    assert found.item() == pytest.approx(expected.item(), rel=1e-5)
+    assert (one.grad - exact.grad).norm() <= 1e-5 * exact.grad.norm()
+
 
 def test_variation_wraps_around_the_seam():
     light = torch.zeros(4, 8, 3)

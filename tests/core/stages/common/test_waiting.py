@@ -16,5 +16,5 @@ def test_steps_of_both_stages_never_wait():
     done = subprocess.run([sys.executable, str(PRETENDED)], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-3000:]
     started = set(done.stdout.split())
-    assert {"project", "project_backward", "compare", "gradient_of", "blend", "blend_backward"} <= started
+    assert {"project", "project_backward", "compare", "gradient_of", "blend", "blend_backward", "step_on", "shade_backward"} <= started
     assert any(name.endswith("see") for name in started)  # rays
