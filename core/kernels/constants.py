@@ -53,6 +53,7 @@ DEPTH_FLOOR = 1e-3  # smallest opacity that sums of depths are divided by
 
 # --- SSIM: 11 x 11 Gaussian window of sigma 1.5
 SSIM_RADIUS = 5
+SSIM_WEIGHT = 0.2  # of D-SSIM against L1 (3DGS)
 _taps = np.exp(-0.5 * (np.arange(-SSIM_RADIUS, SSIM_RADIUS + 1) / 1.5) ** 2)
 SSIM_TAPS = (_taps / _taps.sum()).astype(np.float32)
 SSIM_C1, SSIM_C2 = np.float32(0.01**2), np.float32(0.03**2)

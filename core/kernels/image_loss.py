@@ -10,9 +10,10 @@ import torch
 
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from .constants import SSIM_WEIGHT
 from .cpu.image_loss import encode_backward_range, encode_range
 from .normal_consistency import consistency_gradient
-from .photometric import SSIM_WEIGHT, photometric_gradient
+from .photometric import photometric_gradient
 
 MIN_PIXELS = 8  # lanes of one vector of the CPU's kernels
 

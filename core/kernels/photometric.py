@@ -11,10 +11,8 @@ import torch
 
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
-from .constants import SSIM_TAPS
+from .constants import SSIM_TAPS, SSIM_WEIGHT
 from .cpu.photometric import gradient_range, similarity_range
-
-SSIM_WEIGHT = 0.2  # of D-SSIM against L1 (3DGS)
 
 
 class _Photometric(torch.autograd.Function):

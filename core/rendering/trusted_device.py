@@ -75,8 +75,11 @@ def _results(device: torch.device, dtype: torch.dtype) -> Results:
     rays = (origin * 0.6, torch.nn.functional.normalize(direction, dim=1))
     images = [torch.rand(3, 20, 30, generator=random).to(device, dtype) for _ in range(2)]
     loss = photometric_reference if exact else photometric_loss
-    drawn = rasterize_reference(*values, CAMERA, 1.0) if exact else rasterize(*values, CAMERA, 1.0)[0]
-    traced = trace_reference(*values, *rays) if exact else trace(*values, *rays, build_tree(*values[:4]))
+    position, quaternion, log_scale, opacity, sh, extra = values
+    geometry = (position, quaternion, log_scale, opacity)
+    cloud = (*geometry, sh, extra)
+    drawn = rasterize_reference(*cloud, CAMERA, 1.0) if exact else rasterize(*cloud, CAMERA, 1.0)[0]
+    traced = trace_reference(*cloud, *rays) if exact else trace(*cloud, *rays, build_tree(*geometry))
     shown = images[0].requires_grad_()
     return {
         "the rasteriser": _with_gradients(drawn, values),

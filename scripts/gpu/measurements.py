@@ -214,7 +214,7 @@ def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
             for _ in range(PROFILED_STEPS):
                 step()
             synchronised(device)
-        spent = [(e.self_device_time_total, e) for e in watched.key_averages() if e.device_type == torch.autograd.DeviceType.CUDA]
+        spent = [(e.self_device_time_total, e) for e in watched.key_averages() if e.device_type.name == "CUDA"]
         if device.type != "cuda":
             spent = [(e.self_cpu_time_total, e) for e in watched.key_averages()]
         total, calls = sum(time for time, _ in spent) or 1, sum(event.count for _, event in spent) // PROFILED_STEPS

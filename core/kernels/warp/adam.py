@@ -6,14 +6,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from itertools import accumulate
-from typing import TYPE_CHECKING
 
 import warp as wp
 
+from ..adam_tensor import AdamTensor
 from .runtime import POINTERS, Addresses, Pointers, launch
-
-if TYPE_CHECKING:
-    from ..adam import AdamTensor
 
 _COUNT = wp.constant(POINTERS)
 Floats = wp.types.vector(length=POINTERS, dtype=wp.float32)

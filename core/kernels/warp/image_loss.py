@@ -4,7 +4,7 @@
 import torch
 import warp as wp
 
-from ..photometric import SSIM_WEIGHT
+from ..constants import SSIM_WEIGHT
 from .normal_consistency import consistency_gradient
 from .photometric import photometric_gradient
 from .runtime import launch

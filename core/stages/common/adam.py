@@ -7,7 +7,8 @@ import inspect
 
 import torch
 
-from ...kernels.adam import AdamTensor, adam_step
+from ...kernels.adam import adam_step
+from ...kernels.adam_tensor import AdamTensor
 
 
 class Adam(torch.optim.Adam):
