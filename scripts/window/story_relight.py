@@ -136,18 +136,19 @@ def cast_shadow() -> Iterator[float]:
 def catch_shadow() -> Iterator[float]:
     """Replace the ground shadow by the shadow-catcher plane, which Cycles knows too, and remove it in the end."""
     scene, shadowed = bpy.context.scene, preview.pixels()
+    added_plane = driver.extension_module("irgspp_addon.relight.ground").added_plane  # Blender calls lamps shadow catchers, too
     scene.irgspp.ground_shadow = False
     yield from preview.updated(shadowed)
     before = preview.pixels()
     yield from browsing.press_button("irgspp.shadow_catcher")
-    yield from driver.wait(lambda: any(thing.is_shadow_catcher for thing in scene.objects), 10)
+    yield from driver.wait(lambda: added_plane(scene) is not None, 10)
     yield from preview.updated(before)
     driver.shot("77_shadow_catcher")
     assert preview.pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the plane catches no shadow"
     yield from browsing.press_button("irgspp.relight_stop")
     caught = rendered_alpha("77_cycles_shadow_catcher")
     yield from browsing.press_button("irgspp.shadow_catcher", part="remove=True")
-    yield from driver.wait(lambda: not any(thing.is_shadow_catcher for thing in scene.objects), 10)
+    yield from driver.wait(lambda: added_plane(scene) is None, 10)
     assert caught > rendered_alpha("77_cycles_without") + 50, "the plane catches no shadow in Cycles"
 
 
