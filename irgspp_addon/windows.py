@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from contextlib import AbstractContextManager
 from typing import Any
 
@@ -97,12 +97,38 @@ def show_selected(scene: bpy.types.Scene, materials: bool = True) -> None:
             bpy.ops.view3d.view_selected(use_all_regions=False)
 
 
-def show_world(scene: bpy.types.Scene) -> None:
-    """Light the Material Preview of a scene's 3D Views by its World, which the user has just chosen, instead of Blender's studio light."""
+def show_world(scene: bpy.types.Scene) -> list[str]:
+    """Light the Material Preview of a scene's 3D Views by its World, which the user has just chosen, instead of Blender's studio light.
+
+    Returns:
+        Names of the views that were changed, for `show_studio_light`.
+    """
+    changed = [area for area in _views_of(scene) if _studio_lit(area)]
+    for area in changed:
+        area.spaces.active.shading.use_scene_world = True
+    return [_view_name(area) for area in changed]
+
+
+def show_studio_light(scene: bpy.types.Scene, views: Collection[str]) -> None:
+    """Light the Material Preview of 3D Views by Blender's studio light again.
+
+    Args:
+        scene: scene of the views.
+        views: their names, from `show_world`.
+    """
     for area in _views_of(scene):
-        shading = area.spaces.active.shading
-        if shading.type == "MATERIAL":
-            shading.use_scene_world = True
+        if _view_name(area) in views:
+            area.spaces.active.shading.use_scene_world = False
+
+
+def _studio_lit(area: bpy.types.Area) -> bool:
+    shading = area.spaces.active.shading
+    return shading.type == "MATERIAL" and not shading.use_scene_world
+
+
+def _view_name(area: bpy.types.Area) -> str:
+    """Return a name of an area that holds when the file is opened again: its screen's, and its place in there."""
+    return f"{area.id_data.name}/{area.id_data.areas[:].index(area)}"
 
 
 def _views_of(scene: bpy.types.Scene) -> Iterator[bpy.types.Area]:

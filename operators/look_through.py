@@ -13,7 +13,6 @@ from ..irgspp_addon.importer.arrangement import cameras_in, is_imported_camera, 
 from ..irgspp_addon.importer.cameras import look_through
 from ..irgspp_addon.importer.run_root import run_of
 from ..irgspp_addon.translations import translated
-from ..irgspp_addon.windows import show_world
 from .blocking import refusing
 
 
@@ -85,7 +84,10 @@ class IRGSPP_OT_comparison_colours(bpy.types.Operator):
     bl_options = {"REGISTER", "UNDO"}  # noqa: RUF012 (Blender wants a plain set)
 
     restore: BoolProperty(
-        name="Restore", description="Choose the view settings from before the comparison again", default=False, options={"SKIP_SAVE"}
+        name="Restore",
+        description="Choose view settings and light from before the comparison again",
+        default=False,
+        options={"SKIP_SAVE"},
     )
 
     def execute(self, context: bpy.types.Context) -> set[str]:
@@ -94,7 +96,6 @@ class IRGSPP_OT_comparison_colours(bpy.types.Operator):
             view_colours.restore(context.scene)
         else:
             view_colours.make_plain(context.scene)
-            show_world(context.scene)  # Blender's studio light is not the photograph's
         return {"FINISHED"}
 
 

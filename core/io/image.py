@@ -84,7 +84,7 @@ def _raster_size(path: Path) -> tuple[int, int]:
         with Image.open(path, formats=("PNG", "JPEG")) as image:
             return image.size
     except Exception as error:  # Pillow raises OSError, SyntaxError, ValueError, struct.error, ... for broken files
-        raise InputError(path, f"not a readable PNG, JPEG or EXR image ({_reason(error)})") from error
+        raise InputError(path, f"not a readable PNG, JPEG or EXR image ({_reason(path, error)})") from error
 
 
 def read_image(path: Path) -> DecodedImage:
@@ -136,7 +136,7 @@ def _decode(path: Path, data: bytes) -> np.ndarray:
             deep = data[:8] == PNG_SIGNATURE and data[24] == 16
             pixels = decode_deep_png(data) if deep else np.asarray(_eight_bit(image))
     except Exception as error:  # see _raster_size
-        raise InputError(path, f"unreadable or truncated image ({_reason(error)})") from error
+        raise InputError(path, f"unreadable or truncated image ({_reason(path, error)})") from error
     return pixels.reshape(*pixels.shape[:2], -1)
 
 
@@ -237,5 +237,7 @@ def _straight(premultiplied: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     return np.where(alpha[..., None] > 1e-6, premultiplied / np.maximum(alpha, 1e-6)[..., None], 0)
 
 
-def _reason(error: Exception) -> str:
-    return str(error).split("\n")[0].split(": <_io")[0].split(" <_io")[0][:120] or type(error).__name__
+def _reason(path: Path, error: Exception) -> str:
+    """Return an error of Pillow in one line, without the path, which the message begins with."""
+    text = str(error).replace(f" {str(path)!r}", "")
+    return text.split("\n")[0].split(": <_io")[0].split(" <_io")[0][:120] or type(error).__name__

@@ -63,7 +63,7 @@ class Follower:
         self._camera, self._size, self._settings, self._show, self._visible = camera, size, settings, show, visible
         self._has_object = run is None or run_object(scene, run) is not None
         self._world = WorldFollower()
-        self._read: tuple[int, tuple[Lamp, ...], float | None] | None = None  # `changes.count` when lamps and ground were read
+        self._read: tuple[tuple, tuple[Lamp, ...], float | None] | None = None  # what lamps and ground were read at, and these
         self._session: Session | None = None
         self._requested: tuple | None = None  # key of the latest request
         self._requested_size = (1, 1)
@@ -159,9 +159,10 @@ class Follower:
 
     def _surroundings(self, scene: bpy.types.Scene, thing: bpy.types.Object | None) -> tuple[tuple[Lamp, ...], float | None]:
         """Return the scene's lamps and the height of its ground, which are read again when something has changed."""
-        if self._read is None or self._read[0] != changes.count:
+        present = changes.count, scene.irgspp.ground_shadow  # a setting that a script changes is no change of the scene for Blender
+        if self._read is None or self._read[0] != present:
             things = seen_objects(scene)
-            self._read = changes.count, scene_lamps(things, thing), ground_height(scene, things, thing)
+            self._read = present, scene_lamps(things, thing), ground_height(scene, things, thing)
         return self._read[1:]
 
     def _read_answer(self) -> None:

@@ -21,6 +21,7 @@ from extension import MODULE, extension_module  # noqa: F401 (offered to the sto
 
 sys.stdout.reconfigure(line_buffering=True)  # type: ignore[union-attr]  # Blender is ended by os._exit, without flushing
 OUTPUT, ENGINE = Path(sys.argv[-2]), sys.argv[-1]
+AGAIN = os.environ.get("IRGSPP_AGAIN") == "1"  # in the second Blender of a story, see `quit_and_go_on`
 presses = 0  # of mouse buttons and keys so far
 STEP = 10  # pixels between places that are searched for a button: less than its height
 
@@ -51,6 +52,12 @@ def _end(error: str | None) -> None:
     partial.write_text(json.dumps(result, indent=1))
     os.replace(partial, OUTPUT / "end.json")
     bpy.app.timers.register(lambda: os._exit(0), first_interval=1.0)  # without asking about unsaved changes
+
+
+def quit_and_go_on() -> None:
+    """Quit Blender as the user does; the story is run in another one, with AGAIN."""
+    (OUTPUT / "again").touch()
+    bpy.ops.wm.quit_blender()
 
 
 def window() -> bpy.types.Window:

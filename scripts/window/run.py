@@ -83,15 +83,41 @@ def blender(args: argparse.Namespace, *words: str) -> None:
 
 
 def drive(args: argparse.Namespace) -> int:
-    """Run the story in a window and return the exit status."""
-    end = args.output / "end.json"
-    end.unlink(missing_ok=True)
+    """Run the story in a window, or in two one after the other, and return the exit status."""
+    end, again = args.output / "end.json", args.output / "again"
+    for file in (end, again):
+        file.unlink(missing_ok=True)
+    run_window(args, end, "blender.log")
+    if again.exists():  # the story has quit Blender, and goes on in the next one
+        again.unlink()
+        os.environ["IRGSPP_AGAIN"] = "1"
+        run_window(args, end, "blender_again.log")
+    if not end.exists():
+        print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
+        return 3
+    result = json.loads(end.read_text())
+    print(result["error"] or f"window: images in {args.output}", file=sys.stderr if result["error"] else sys.stdout)
+    for name, figure in result["figures"].items():
+        print(f"  {name}: {figure}")
+    for name, time_taken in result["slowest"].items():
+        print(f"  slowest {name}: {time_taken}")
+    return 1 if result["error"] else 0
+
+
+def run_window(args: argparse.Namespace, end: Path, log_name: str) -> None:
+    """Run the story in a window until it or Blender ends.
+
+    Args:
+        args: parsed options.
+        end: file that the story writes at its end.
+        log_name: name of the file for Blender's output.
+    """
     width, height = args.size.split("x")
     command = [args.blender, "--window-geometry", "0", "0", width, height, "--python", str(HERE / f"{args.story}.py")]
     command += ["--", str(args.output.resolve()), args.engine]
     if not os.environ.get("DISPLAY"):
         command = ["xvfb-run", "-a", "-s", f"-screen 0 {args.size}x24 +extension GLX", *command]
-    with (args.output / "blender.log").open("w") as log:
+    with (args.output / log_name).open("w") as log:
         child = subprocess.Popen(
             command, stdout=log, stderr=subprocess.STDOUT, env={**os.environ, "PYTHONUNBUFFERED": "1"}, start_new_session=True
         )
@@ -103,16 +129,6 @@ def drive(args: argparse.Namespace) -> int:
         except subprocess.TimeoutExpired:
             os.killpg(child.pid, 9)
             child.wait()
-    if not end.exists():
-        print(f"window: Blender ended or took too long; see {args.output / 'blender.log'}", file=sys.stderr)
-        return 3
-    result = json.loads(end.read_text())
-    print(result["error"] or f"window: images in {args.output}", file=sys.stderr if result["error"] else sys.stdout)
-    for name, figure in result["figures"].items():
-        print(f"  {name}: {figure}")
-    for name, time_taken in result["slowest"].items():
-        print(f"  slowest {name}: {time_taken}")
-    return 1 if result["error"] else 0
 
 
 if __name__ == "__main__":

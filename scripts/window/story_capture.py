@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Story of bare photographs (run.py --photographs): find their cameras, look at masks and the object's sphere, reconstruct a draft."""
 
+import json
 import os
 import shutil
 import subprocess
@@ -17,12 +18,14 @@ import driver
 import timing
 
 PATIENCE = 3000.0  # seconds for a capture, and for a reconstruction
+NO_PHOTOGRAPH = "notes.png"  # text file among the photographs
 
 
 def story() -> Iterator[float]:
     """Run the story."""
     work = Path(tempfile.mkdtemp(prefix="irgspp-story-"))
     photographs = Path(shutil.copytree(os.environ["IRGSPP_PHOTOGRAPHS"], work / "photos"))
+    (photographs / NO_PHOTOGRAPH).write_text("This is no photograph.")
     bpy.ops.wm.save_as_mainfile(filepath=str(work / "capture.blend"))
     for name in ("Cube", "Light", "Camera"):
         bpy.data.objects.remove(bpy.data.objects[name])
@@ -40,8 +43,13 @@ def find_cameras(photographs: Path) -> Iterator[float]:
     """Choose the photographs, press Find Cameras, and wait until cameras, points and the sphere are in the scene."""
     settings = bpy.context.scene.irgspp
     settings.dataset = f"//{photographs.name}"
+    yield from driver.wait(lambda: settings.inspected, 120)
+    facts = json.loads(settings.inspected)
+    timing.figures["estimates"] = f"{facts['capture']['text']} for the cameras; {facts['jobs'][settings.preset]['text']} with them"
     yield 1.0
     driver.sidebar_shot("70_photographs")
+    yield from browsing.reach("irgspp.reconstruct")
+    driver.sidebar_shot("70_estimate")
     yield from browsing.press_button("irgspp.capture")
     job = yield from browsing.started_job()
     assert job.kind == "capture", job.kind
@@ -61,6 +69,8 @@ def find_cameras(photographs: Path) -> Iterator[float]:
     driver.shot("73_cameras_and_sphere")
     driver.sidebar_shot("73_cameras_sidebar")
     assert settings.dataset_path().name == "photos_capture", settings.dataset
+    reasons = dict(driver.extension_module("irgspp_addon.importer.capture_file").read_capture(settings.dataset_path()).left_out)
+    assert "\n" not in reasons[NO_PHOTOGRAPH], reasons
     assert any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects)
 
 

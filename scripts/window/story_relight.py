@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Story of relighting a finished run (run.py --run): HDRI thumbnail, dragged light, lamp, ground shadow, turn of the light, asset."""
+"""Story of relighting a finished run (run.py --run): HDRI thumbnail, dragged light, lamp, shadows, turn of the light, asset."""
 
 import os
 import shutil
@@ -38,6 +38,7 @@ def story() -> Iterator[float]:
     yield from drag_light()
     yield from add_lamp()
     yield from cast_shadow()
+    yield from catch_shadow()
     yield from turn_light(work / "turn")
     yield from mark_asset()
     shutil.rmtree(work, ignore_errors=True)
@@ -64,7 +65,8 @@ def compare_photograph() -> Iterator[float]:
     driver.shot("70_photograph_over_object")
     scene.irgspp_photograph, scene.irgspp_comparison, scene.irgspp_border = 0.0, "split", 0.0
     yield from browsing.press_button("irgspp.comparison_colours", part="restore=True")
-    assert scene.view_settings.view_transform != "Standard"
+    assert scene.view_settings.view_transform != "Standard" and not driver.view3d().spaces[0].shading.use_scene_world
+    driver.shot("70_restored")
     space = driver.view3d().spaces[0]
     space.region_3d.view_perspective, space.shading.type = "PERSP", "SOLID"
     bpy.context.view_layer.objects.active = thing
@@ -129,7 +131,44 @@ def cast_shadow() -> Iterator[float]:
     yield from preview.updated(before)
     driver.shot("77_ground_shadow")
     assert preview.pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the image has no shadow"
+
+
+def catch_shadow() -> Iterator[float]:
+    """Replace the ground shadow by the shadow-catcher plane, which Cycles knows too, and remove it in the end."""
+    scene, shadowed = bpy.context.scene, preview.pixels()
+    added_plane = driver.extension_module("irgspp_addon.relight.ground").added_plane  # Blender calls lamps shadow catchers, too
+    scene.irgspp.ground_shadow = False
+    yield from preview.updated(shadowed)
+    before = preview.pixels()
+    yield from browsing.press_button("irgspp.shadow_catcher")
+    yield from driver.wait(lambda: added_plane(scene) is not None, 10)
+    yield from preview.updated(before)
+    driver.shot("77_shadow_catcher")
+    assert preview.pixels()[..., 3].sum() > before[..., 3].sum() + 100, "the plane catches no shadow"
     yield from browsing.press_button("irgspp.relight_stop")
+    caught = rendered_alpha("77_cycles_shadow_catcher")
+    yield from browsing.press_button("irgspp.shadow_catcher", part="remove=True")
+    yield from driver.wait(lambda: added_plane(scene) is None, 10)
+    assert caught > rendered_alpha("77_cycles_without") + 50, "the plane catches no shadow in Cycles"
+
+
+def rendered_alpha(name: str) -> float:
+    """Render the scene by Cycles into an image file, and return the sum of its alpha over all pixels.
+
+    Args:
+        name: name of the image.
+    """
+    scene = bpy.context.scene
+    engine, render = scene.render.engine, scene.render
+    render.engine, render.film_transparent, render.filepath = "CYCLES", True, str(driver.OUTPUT / f"{name}.png")
+    render.resolution_x = render.resolution_y = 160
+    scene.cycles.samples, scene.cycles.use_denoising, render.image_settings.color_mode = 16, False, "RGBA"
+    bpy.ops.render.render(write_still=True)
+    render.engine, render.film_transparent = engine, False
+    image = bpy.data.images.load(render.filepath)
+    alpha = float(comparison.pixels(image)[..., 3].sum())
+    bpy.data.images.remove(image)
+    return alpha
 
 
 def turn_light(folder: Path) -> Iterator[float]:

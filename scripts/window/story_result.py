@@ -81,12 +81,32 @@ def export(run: Path) -> Iterator[float]:
     driver.sidebar_shot("40_export_panel")
     for suffix in (".glb", ".blend"):
         yield from browsing.press_button("irgspp.export", part=suffix)
-        yield from browsing.confirm_files(f"41_export{suffix}", file=f"exported{suffix}")
-        yield from driver.wait((run / f"exported{suffix}").is_file, 120)
+        folder = run.parent / f"for{suffix}"
+        folder.mkdir()
+        yield from browsing.confirm_files(f"41_export{suffix}", directory=folder, file=f"exported{suffix}")
+        yield from driver.wait((folder / f"exported{suffix}").is_file, 120)
         yield from driver.wait(lambda: not driver.extension_module("irgspp_addon.jobs.queue").unfinished(), 30)
         yield 1.5
         driver.sidebar_shot(f"42_exported{suffix}")
-        assert (run / f"exported{suffix}").stat().st_size > 10_000
+        assert (folder / f"exported{suffix}").stat().st_size > 10_000
+        yield from show_exported(folder)
+
+
+def show_exported(folder: Path) -> Iterator[float]:
+    """Press the button that shows an exported file, with a program in the place of the file manager, which notes what it is to show.
+
+    Args:
+        folder: of the exported file.
+    """
+    program, shown = folder / "xdg-open", folder / "shown.txt"
+    program.write_text(f'#!/bin/sh\necho "$1" > {shown}\n')
+    program.chmod(0o755)
+    path = os.environ["PATH"]
+    os.environ["PATH"] = f"{folder}{os.pathsep}{path}"
+    yield from browsing.press_button("wm.path_open", part=str(folder))
+    yield from driver.wait(shown.is_file, 10)
+    os.environ["PATH"] = path
+    assert shown.read_text().strip() == str(folder), shown.read_text()
 
 
 def relight_by_sky() -> Iterator[float]:

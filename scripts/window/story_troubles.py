@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Story of missing and wrong input: preferences, folders that are not datasets, a bad setting, a run that would be replaced."""
 
+import json
 import os
 import shutil
 import sys
@@ -32,6 +33,7 @@ def story() -> Iterator[float]:
     assert not jobs.unfinished()  # the panel sees by itself that there is nothing
 
     demo = Path(str(sys.modules[driver.MODULE].__file__)).parent / "core" / "demo_data"
+    yield from find_text_file(Path(shutil.copytree(demo, work / "spoilt")))
     shutil.copytree(demo, work / "monkey")
     settings.dataset = "//monkey"
     yield from driver.wait(lambda: settings.inspected, 60)
@@ -67,6 +69,23 @@ def story() -> Iterator[float]:
     yield from driver.wait(lambda: job.finished, 600)
     assert job.state == "done" and not job.error, (job.state, job.error)
     shutil.rmtree(work, ignore_errors=True)
+
+
+def find_text_file(photographs: Path) -> Iterator[float]:
+    """Choose photographs of which one is a text file, which the panel has to name in one line.
+
+    Args:
+        photographs: copy of a dataset.
+    """
+    spoilt = sorted((photographs / "train").glob("*.png"))[2]
+    spoilt.write_text("This is no photograph.")
+    settings = bpy.context.scene.irgspp
+    settings.dataset = f"//{photographs.name}"
+    yield from driver.wait(lambda: settings.inspected, 60)
+    yield 1.5
+    driver.sidebar_shot("22_text_file")
+    (line,) = json.loads(settings.inspected)["warnings"]
+    assert line.count(spoilt.name) == 1 and "\n" not in line, line
 
 
 def open_preferences() -> Iterator[float]:

@@ -117,6 +117,16 @@ def test_a_running_preview_follows_resolution_and_point_of_view(scene, relightab
     assert fixed.done  # a script's own values stay
 
 
+def test_a_ground_shadow_that_a_script_switches_on_is_followed(scene, relightable):
+    """Blender reports no change of the scene then."""
+    follower = started(scene, relightable)
+    follow_until(lambda: follower.done)
+    before = follower._requested
+    scene.irgspp.ground_shadow = True
+    relight_follow.beat()
+    assert follower._requested != before
+
+
 def test_a_rendered_world_comes_later_and_the_former_light_stays_meanwhile(scene, relightable):
     follower = started(scene, relightable)
     follow_until(lambda: follower.done)

@@ -243,7 +243,7 @@ TEXTS: dict[str, str] = {
     ),
     "Compare under Standard": "Unter Standard vergleichen",
     "Restore": "Wiederherstellen",
-    "Choose the view settings from before the comparison again": "Wählt wieder die Ansichtseinstellungen von vor dem Vergleich",
+    "Choose view settings and light from before the comparison again": "Wählt wieder Ansichtseinstellungen und Licht von vor dem Vergleich",
     # Shadow catcher, and its operator
     "Add an invisible level plane under the object's foot that catches its shadow, in IRGS++ and in Cycles": (
         "Fügt unter dem Fuß des Objekts eine unsichtbare waagerechte Ebene hinzu, die seinen Schatten auffängt, in IRGS++ und in Cycles"

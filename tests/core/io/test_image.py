@@ -43,3 +43,11 @@ def test_enormous_images_are_refused_before_they_are_decoded(tmp_path):
             read(tmp_path / "a.exr")
     with refused(r"a\.hdr", "60000x60000"):
         read_environment(tmp_path / "a.hdr")
+
+
+def test_a_text_file_is_refused_in_one_line_that_names_it_once(tmp_path):
+    file = tmp_path / "notes.png"
+    file.write_text("This is no photograph.")
+    with refused("cannot identify image file") as caught:
+        image_size(file)
+    assert str(caught.value).count("notes.png") == 1 and "\n" not in str(caught.value)

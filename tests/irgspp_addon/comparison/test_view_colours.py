@@ -40,3 +40,35 @@ def test_standard_needs_nothing(scene):
     scene.view_settings.view_transform = "Standard"
     view_colours.make_plain(scene)
     assert view_colours.are_plain(scene) and not view_colours.kept_transform(scene)
+
+
+@pytest.fixture
+def shading():
+    """Return the shading of the 3D View of a new file, in Material Preview."""
+    bpy.ops.wm.read_factory_settings()
+    (area,) = [area for area in bpy.context.window_manager.windows[0].screen.areas if area.type == "VIEW_3D"]
+    area.spaces.active.shading.type = "MATERIAL"
+    return area.spaces.active.shading
+
+
+def test_the_studio_light_comes_back(shading):
+    scene = bpy.context.scene
+    assert not shading.use_scene_world
+    view_colours.make_plain(scene)
+    assert shading.use_scene_world
+    view_colours.make_plain(scene)
+    view_colours.restore(scene)
+    assert not shading.use_scene_world and view_colours.LIT not in scene
+
+
+def test_the_world_stays_where_it_was_seen_before_or_chosen_since(shading):
+    scene = bpy.context.scene
+    shading.use_scene_world = True
+    view_colours.make_plain(scene)
+    view_colours.restore(scene)
+    assert shading.use_scene_world
+    shading.use_scene_world = False
+    view_colours.make_plain(scene)
+    scene.world = bpy.data.worlds.new("HDRI")
+    view_colours.restore(scene)
+    assert shading.use_scene_world
