@@ -26,7 +26,7 @@ Results = dict[str, list[torch.Tensor]]
 
 
 def trusted_device(name: str = "auto", say: Callable[[str], object] = lambda message: None) -> ChosenDevice:
-    """Choose a device as `choose_device`; "auto" takes a GPU only if it passes the self-test, which takes half a second.
+    """Choose a device as `choose_device`; "auto" takes a GPU only if it passes the self-test.
 
     Args:
         name: "auto", "cpu", "cuda", or "warp-cpu".

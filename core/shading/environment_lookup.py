@@ -22,7 +22,7 @@ POLE = 0.995  # |z| above which acos(z) is too inaccurate in float32: its roundi
 def direction_to_uv(direction: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the coordinates u and v, (...,) each in 0..1, of unit directions (..., 3)."""
     if direction.dtype == torch.float32 and by_warp(direction) and not (direction.requires_grad and torch.is_grad_enabled()):
-        from ..kernels.warp.lightmap import lightmap_places  # Warp is an optional dependency
+        from ..kernels.warp.map_places import lightmap_places  # Warp is an optional dependency
 
         u, v = lightmap_places(direction)
         return u, v

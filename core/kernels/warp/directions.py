@@ -7,7 +7,7 @@ import torch
 import warp as wp
 
 from ..constants import COSINE_FLOOR
-from .lightmap import place_of
+from .map_places import place_of
 from .runtime import launch
 
 _PI, _TURN, _FLOOR = wp.constant(math.pi), wp.constant(2 * math.pi), wp.constant(COSINE_FLOOR)

@@ -12,7 +12,7 @@ import torch
 import warp as wp
 
 from ..constants import LEAST_ALPHA
-from .lightmap import place_of
+from .map_places import place_of
 from .reflection import Point, irgs_lobe, lobe, point_of
 from .runtime import launch
 

@@ -206,7 +206,7 @@ def test_a_run_repeats_bit_by_bit(device):
     assert all(torch.equal(a, b) for a, b in zip(*results, strict=True))
 
 
-MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light", "lightmap", "directions", "weighted_sums")
+MODULES = ("splats", "surfels", "nodes", "adjoint", "mesh", "photometric", "lobes", "light", "map_places", "directions", "weighted_sums")
 MODULES += ("normal_consistency", "image_loss", "split_sum", "adam", "light_map")
 
 
