@@ -99,7 +99,7 @@ def correctness(device: torch.device, quick: bool) -> Measurement:
         device: device of the kernels.
         quick: True for the tests of one file.
     """
-    what = ["tests/core/kernels/test_devices.py"] if quick else ["tests/core", "-m", "cuda"]
+    what = ["tests/core/kernels/test_devices.py"] if quick else ["tests/core/kernels", "-m", "cuda"]
     words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", *what, *(["-k", "warp"] if quick else [])]
     done = subprocess.run(words, cwd=ROOT, capture_output=True, text=True, check=False)
     last_line = (done.stdout.strip().splitlines() or ["no output"])[-1]

@@ -10,7 +10,7 @@ import warp as wp
 from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, GRAZING, NORMAL, OPACITY, TRANSMITTANCE_MIN
 from .nodes import MISS, Distances, Stack, entered
 
-NEAREST = 16  # hits collected in one traversal
+NEAREST = 32  # hits collected in one traversal
 _NEAREST = wp.constant(NEAREST)
 _N, _U, _V, _O, _CUT = wp.constant(NORMAL), wp.constant(AXIS_U), wp.constant(AXIS_V), wp.constant(OPACITY), wp.constant(CUT)
 _TINY = wp.constant(1.0e-12)  # smallest magnitude of a component of a direction
