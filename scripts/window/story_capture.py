@@ -70,7 +70,7 @@ def find_cameras(photographs: Path) -> Iterator[float]:
     driver.sidebar_shot("73_cameras_sidebar")
     assert settings.dataset_path().name == "photos_capture", settings.dataset
     reasons = dict(driver.extension_module("irgspp_addon.importer.capture_file").read_capture(settings.dataset_path()).left_out)
-    assert "\n" not in reasons[NO_PHOTOGRAPH], reasons
+    assert "\n" not in reasons[Path(NO_PHOTOGRAPH).stem], reasons  # photographs are named without suffix
     assert any(thing.type == "CAMERA" and len(thing.data.background_images) for thing in bpy.data.objects)
 
 
