@@ -10,6 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -31,6 +32,8 @@ from .scene import RADIUS, Work, ring
 ROOT = Path(__file__).resolve().parents[2]
 PROFILED = 12  # operations that the profile lists
 PROFILED_STEPS = 5  # iterations that are profiled
+PROFILED_CALLS = 6  # calls of CUDA's driver that the profile lists
+DRIVER_CALLS = ("cuda", "cuLaunch", "cuMem", "cuStream", "cuEvent", "cuCtx")  # how names of launches, copies and waits begin
 JOB_TARGETS = {"balanced": "<= 1 min", "paper": "<= 10 min (paper: 40)"}
 
 
@@ -149,6 +152,21 @@ def steps(work: Work, size: Size, device: torch.device) -> list[Measurement]:
     ]
 
 
+def relit_frames(work: Work, size: Size, samples: int, device: torch.device) -> Callable[[], object]:
+    """Return a function that relights the next frame, with the mesh backend and a camera of its own.
+
+    Args:
+        work: torus to relight.
+        size: size of the work, and number of frames.
+        samples: light samples per pixel.
+        device: device of the kernels.
+    """
+    query, light = MeshQuery(work.mesh, RADIUS, device), prepare_light(work.reconstruction.environment_map(), device)
+    relighter = Relighter(work.reconstruction, query, RelightSettings(samples=samples), query)
+    cameras = iter(ring(size.warm + size.repeats, size.image))
+    return lambda: relighter.relit(relighter.surface(next(cameras)), light)
+
+
 def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement]:
     """Measure frames per second with the mesh backend, each with a camera of its own, so that nothing is cached.
 
@@ -157,13 +175,9 @@ def relighting(work: Work, size: Size, device: torch.device) -> list[Measurement
         size: size of the work.
         device: device of the kernels.
     """
-    query = MeshQuery(work.mesh, RADIUS, device)
-    light = prepare_light(work.reconstruction.environment_map(), device)
     found = []
     for samples in (16, 32):
-        relighter = Relighter(work.reconstruction, query, RelightSettings(samples=samples), query)
-        cameras = iter(ring(size.warm + size.repeats, size.image))
-        each = seconds_each(lambda r=relighter, c=cameras: r.relit(r.surface(next(c)), light), size, device)
+        each = seconds_each(relit_frames(work, size, samples, device), size, device)
         name = f"relighting, {size.image}x{size.image}, {samples} samples, mesh of {len(work.mesh.faces):,} triangles"
         found.append(Measurement(name, f"{1 / each:.1f} FPS", ">= 60 FPS (paper, RTX 3090: 25)"))
     return found
@@ -197,32 +211,52 @@ def job(name: str, dataset: Path, run: Path, device: str, changes: tuple[str, ..
 
 
 def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
-    """Measure the most expensive operations of both stages' iterations.
+    """Measure the longest operations of both stages' iterations and of a relit frame, and the longest calls of CUDA's driver.
 
     Args:
         work: torus to reconstruct.
         size: size of the work.
         device: device of the kernels.
     """
-    second, first = refinement(work, size), trainer(work, size)
+    works = {"second stage": refinement(work, size).step, "first stage": trainer(work, size).step}
+    works["relighting"] = relit_frames(work, replace(size, repeats=PROFILED_STEPS), 16, device)
     kinds = [torch.profiler.ProfilerActivity.CPU, *([torch.profiler.ProfilerActivity.CUDA] if device.type == "cuda" else [])]
     found = []
-    for name, step in (("second stage", second.step), ("first stage", first.step)):
+    for name, step in works.items():
         for _ in range(size.warm):
             step()
         with torch.profiler.profile(activities=kinds) as watched:
             for _ in range(PROFILED_STEPS):
                 step()
             synchronised(device)
-        spent = [(e.self_device_time_total, e) for e in watched.key_averages() if e.device_type.name == "CUDA"]
+        events = watched.key_averages()
+        spent = [(e.self_device_time_total, e) for e in events if e.device_type.name == "CUDA"]
         if device.type != "cuda":
-            spent = [(e.self_cpu_time_total, e) for e in watched.key_averages()]
+            spent = [(e.self_cpu_time_total, e) for e in events]
         total, calls = sum(time for time, _ in spent) or 1, sum(event.count for _, event in spent) // PROFILED_STEPS
         found.append(Measurement(f"{name}: on the {device.type}", f"{total / 1000 / PROFILED_STEPS:.2f} ms an iteration, {calls} calls"))
-        for time_spent, event in sorted(spent, key=lambda pair: -pair[0])[:PROFILED]:
-            each, calls = time_spent / 1000 / PROFILED_STEPS, event.count // PROFILED_STEPS
-            found.append(Measurement(f"  {name}: {event.key[:70]}", f"{each:.3f} ms an iteration, {time_spent / total:.0%}, {calls} calls"))
+        found += [_operation(name, time, event, f", {time / total:.0%}") for time, event in _longest(spent, PROFILED)]
+        driver_calls = [(e.self_cpu_time_total, e) for e in events if e.device_type.name == "CPU" and e.key.startswith(DRIVER_CALLS)]
+        found += [_operation(f"{name}, host", time, event) for time, event in _longest(driver_calls, PROFILED_CALLS)]
     return found
+
+
+def _longest(spent: list[tuple[float, Any]], count: int) -> list[tuple[float, Any]]:
+    """Return the `count` longest of operations, which are given as microseconds and profiled event."""
+    return sorted(spent, key=lambda pair: -pair[0])[:count]
+
+
+def _operation(name: str, spent: float, event: Any, further: str = "") -> Measurement:
+    """Return the line of a profiled operation.
+
+    Args:
+        name: name of the stage.
+        spent: its time in microseconds, in all PROFILED_STEPS.
+        event: the profiler's event.
+        further: text that follows the time.
+    """
+    each, calls = spent / 1000 / PROFILED_STEPS, event.count / PROFILED_STEPS
+    return Measurement(f"  {name}: {event.key[:70]}", f"{each:.3f} ms an iteration{further}, {calls:g} calls")
 
 
 def bandwidth(work: Work, size: Size, device: torch.device) -> Measurement:
