@@ -6,7 +6,8 @@
 
 `irgspp export` writes each file once. Each is read in a Blender of its own, and rendered by Cycles under the recovered light from the same
 views as the .blend. The check sets Non-Color where OBJ names no colour space; all else stays as it was read, and the second column shows
-what is left with the .blend's microfacet distribution. Exit status: 0 all formats come back, 1 one does not, 2 bad usage.
+what is left with the .blend's microfacet distribution. Of the splats (.ply), which Blender reads as points, the values are compared.
+Exit status: 0 all formats come back, 1 one does not, 2 bad usage.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from irgspp.core.errors import IrgsppError
 from irgspp.core.machine.blender_process import LAUNCHER, blender_command
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.mesh_ply import load_mesh_ply
-from reimporting.comparison import Asset, Difference, compare, load_asset
+from reimporting.comparison import Asset, Difference, compare, load_asset, wrong_columns
 from test_blender_versions import ROOT, VERSIONS, environment, find_python
 
 CHILD = Path(__file__).resolve().parent / "reimporting" / "read_child.py"
@@ -52,8 +53,30 @@ def views(run: Path, size: int) -> list[dict]:
     return [{**vars(camera), "to_world": camera.to_world.tolist()} for camera in cameras]
 
 
+def read_in_blender(command: Sequence[str], job: dict, out: Path, last: str) -> None:
+    """Read a file in a fresh Blender, which writes what came back.
+
+    Args:
+        command: what runs read_child.py in a Blender.
+        job: of read_child.py, without "out".
+        out: folder for the results.
+        last: name of the file that is written last.
+
+    Raises:
+        IrgsppError: if Blender fails.
+    """
+    shutil.rmtree(out, ignore_errors=True)  # of an earlier check
+    out.mkdir(parents=True)
+    (out / "job.json").write_text(json.dumps({**job, "out": str(out)}), "utf-8")
+    done = subprocess.run([*command, str(out / "job.json")], capture_output=True, text=True, check=False)
+    if not (out / last).is_file():  # the module can crash at its end, after its work
+        lines = done.stderr.strip().splitlines() or ["no message"]
+        reason = next((line.strip() for line in reversed(lines) if "Error" in line), lines[-1])
+        raise IrgsppError(f"{Path(job['file']).name}: not read, Blender ended with status {done.returncode}: {reason}")
+
+
 def read_back(command: Sequence[str], job: dict, out: Path) -> Asset:
-    """Read a file in a fresh Blender and return what came back.
+    """Read an asset in a fresh Blender and return what came back.
 
     Args:
         command: what runs read_child.py in a Blender.
@@ -63,15 +86,26 @@ def read_back(command: Sequence[str], job: dict, out: Path) -> Asset:
     Raises:
         IrgsppError: if Blender fails.
     """
-    shutil.rmtree(out, ignore_errors=True)  # of an earlier check
-    out.mkdir(parents=True)
-    (out / "job.json").write_text(json.dumps({**job, "out": str(out)}), "utf-8")
-    done = subprocess.run([*command, str(out / "job.json")], capture_output=True, text=True, check=False)
-    if not (out / f"view{len(job['views']) - 1}.exr").is_file():  # the module can crash at its end, after its work
-        lines = done.stderr.strip().splitlines() or ["no message"]
-        reason = next((line.strip() for line in reversed(lines) if "Error" in line), lines[-1])
-        raise IrgsppError(f"{Path(job['file']).name}: not read, Blender ended with status {done.returncode}: {reason}")
+    read_in_blender(command, job, out, f"view{len(job['views']) - 1}.exr")
     return load_asset(out)
+
+
+def check_splats(file: Path, command: Sequence[str], out: Path) -> bool:
+    """Print a line for splats that are read by one Blender, and return True where all of their values come back.
+
+    Args:
+        file: the exported .ply.
+        command: what runs read_child.py in this Blender.
+        out: folder for the results.
+    """
+    try:
+        read_in_blender(command, {"file": str(file)}, out, "splats.npz")
+    except IrgsppError as error:
+        print(f"ply    FAILED: {error}", flush=True)
+        return False
+    wrong, columns = wrong_columns(file, out / "splats.npz")
+    print(f"ply    {f'FAILED: {len(wrong)} differ, such as {wrong[0]}' if wrong else 'equal'}, {columns} columns of splats", flush=True)
+    return not wrong
 
 
 def failures(difference: Difference) -> list[str]:
@@ -126,7 +160,7 @@ def check(run: Path, files: Path, command: Sequence[str], args: argparse.Namespa
             continue
         print(row(suffix, difference), flush=True)
         good &= not failures(difference)
-    return good
+    return check_splats(files / "asset.ply", command, out / "ply") and good
 
 
 def arguments(words: Sequence[str] | None) -> argparse.Namespace:
@@ -164,7 +198,7 @@ def main(words: Sequence[str] | None = None) -> int:
         files = (args.output or Path(scratch)).resolve()
         try:
             files.mkdir(parents=True, exist_ok=True)
-            for suffix in ("blend", *FORMATS):
+            for suffix in ("blend", *FORMATS, "ply"):
                 export(args.run, files / f"asset.{suffix}")
             read = [check(args.run, files, command, args, files / f"read{number}") for number, command in enumerate(blenders(args))]
         except IrgsppError as error:

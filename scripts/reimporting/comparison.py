@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from irgspp.core.evaluation.metrics import on_black, psnr
 from irgspp.core.io.exr import read_exr
+from plyfile import PlyData
 from scipy.spatial import KDTree
 
 CLOSE = 1e-3  # difference up to which two values of a material count as the same
@@ -175,3 +176,16 @@ def _same(a: Any, b: Any) -> bool:
 
 def _words(value: Any) -> str:
     return value if isinstance(value, str) else str(np.round(value, 3))
+
+
+def wrong_columns(file: Path, read: Path) -> tuple[list[str], int]:
+    """Return the names of the columns of splats that did not come back exactly, and the number of all that count.
+
+    Args:
+        file: the .ply. Its normals do not count: viewers ignore them.
+        read: splats.npz of read_child.py.
+    """
+    written = PlyData.read(str(file))["vertex"]
+    names = [one.name for one in written.properties if one.name not in ("nx", "ny", "nz")]
+    with np.load(read) as found:
+        return [name for name in names if name not in found or not np.array_equal(found[name], written[name])], len(names)

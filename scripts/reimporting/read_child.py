@@ -3,7 +3,8 @@
 
 JOB.json holds "file", "light" (environment.exr of the run), "views" (cameras, relative to the object's foot), "samples" per pixel, and
 "out" (folder). Results there: mesh.npz, textures.npz, material.json, view0.exr and so on, and single0.exr and so on, the same by single
-scattering, where the material has another distribution. Only a .blend brings its own light.
+scattering, where the material has another distribution. Only a .blend brings its own light. Of splats (.ply), which no material shows,
+their values alone are written, as splats.npz; "file" and "out" are enough.
 """
 
 from __future__ import annotations
@@ -33,6 +34,7 @@ READERS = {
     ".glb": lambda path: bpy.ops.import_scene.gltf(filepath=path),
     ".usdc": lambda path: bpy.ops.wm.usd_import(filepath=path),
     ".usdz": lambda path: bpy.ops.wm.usd_import(filepath=path),
+    ".ply": lambda path: bpy.ops.wm.ply_import(filepath=path),
 }
 INPUTS = ("Base Color", "Roughness", "Metallic", "Normal")
 SINGLE = "GGX"  # the .blend's microfacet distribution
@@ -50,6 +52,9 @@ def read_back(job: dict[str, Any]) -> None:
     """
     file, out = Path(job["file"]), Path(job["out"])
     thing = opened(file)
+    if file.suffix == ".ply":
+        np.savez(out / "splats.npz", **splats(thing.data))  # pyright: ignore[reportArgumentType]
+        return
     scene, foot = bpy.context.scene, np.zeros(3)
     mesh = geometry(thing)
     if file.suffix == ".blend":  # it keeps its place; the other formats stand on the origin
@@ -96,6 +101,12 @@ def geometry(thing: bpy.types.Object) -> dict[str, np.ndarray]:
     uvs = _values(mesh.uv_layers.active.data, "uv", 2) if mesh.uv_layers else np.full((len(mesh.loops), 2), np.nan)
     faces = _values(mesh.loops, "vertex_index", 1, np.int32).reshape(-1, 3)
     return {"vertices": place, "faces": faces, "normals": normal.reshape(-1, 3, 3), "uvs": uvs.reshape(-1, 3, 2)}
+
+
+def splats(mesh: bpy.types.Mesh) -> dict[str, np.ndarray]:
+    """Return "x", "y", "z" and the attributes of splats that were read as a mesh's vertices, each (N,), by their names in the file."""
+    found = {attribute.name: _values(attribute.data, "value", 1) for attribute in mesh.attributes if attribute.data_type == "FLOAT"}
+    return found | dict(zip("xyz", _values(mesh.vertices, "co", 3).T, strict=True))
 
 
 def _values(items: Any, name: str, width: int, kind: type = np.float32) -> np.ndarray:

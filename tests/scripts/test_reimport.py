@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irgspp.core.scene.camera import Camera
+from plyfile import PlyData, PlyElement
 from scripts_folder import scripts_on_path
 
 
@@ -115,15 +116,38 @@ def test_views_frame_the_object_on_its_foot(scripts, run_folder):
         np.testing.assert_allclose(camera.project(np.array([[0.0, 0, 1]]))[0], [[32, 32]], atol=0.5)
 
 
+def write_splats(file):
+    """Write three splats with few columns, and return the values (3,) of each by its name."""
+    columns = {name: np.arange(3, dtype=np.float32) + i for i, name in enumerate(("x", "y", "z", "nx", "ny", "nz", "f_dc_0", "opacity"))}
+    written = np.zeros(3, [(name, "f4") for name in columns])
+    for name, values in columns.items():
+        written[name] = values
+    PlyData([PlyElement.describe(written, "vertex")]).write(str(file))
+    return columns
+
+
+def test_changed_and_missing_columns_of_splats_are_named(scripts, tmp_path):
+    _, comparison = scripts
+    columns = write_splats(tmp_path / "splats.ply")
+    np.savez(tmp_path / "splats.npz", **{**columns, "nx": columns["nx"] + 1})
+    assert comparison.wrong_columns(tmp_path / "splats.ply", tmp_path / "splats.npz") == ([], 5)
+    del columns["opacity"]
+    np.savez(tmp_path / "splats.npz", **{**columns, "y": columns["y"] + 1e-6})
+    assert comparison.wrong_columns(tmp_path / "splats.ply", tmp_path / "splats.npz") == (["y", "opacity"], 5)
+
+
 def test_round_trip_of_a_sphere(scripts, run_folder, tmp_path, monkeypatch, capsys):
     """The sphere has rough bright metal, which Blender's own microfacet distribution shows brighter than the .blend's."""
     pytest.importorskip("bpy")
     script, _ = scripts
     monkeypatch.setattr(script, "FORMATS", ("glb",))
     monkeypatch.setattr(script, "SIDES", script.SIDES[:1])
+    asset = script.export  # the sphere's run has no Gaussians
+    monkeypatch.setattr(script, "export", lambda run, file: write_splats(file) if file.suffix == ".ply" else asset(run, file))
     few = ["--size", "32", "--samples", "4", "-o", str(tmp_path)]
     assert script.main([str(run_folder), *few]) == 1
-    line = capsys.readouterr().out.splitlines()[-1]
+    line, splats = capsys.readouterr().out.splitlines()[-2:]
+    assert splats == "ply    equal, 5 columns of splats"
     assert line.startswith("glb") and line.endswith("  FAILED: look; distribution MULTI_GGX instead of GGX")
     assert 35 < float(line.split()[1]) < 45 and float(line.split()[2]) > 60  # with the .blend's distribution
 
@@ -137,8 +161,9 @@ def test_unreadable_file_is_a_failed_line(scripts, run_folder, tmp_path, monkeyp
     blend = script.read_back
     monkeypatch.setattr(script, "read_back", lambda *words: blend(*words) if words[1]["file"].endswith("glb") else FakeBlend())
     assert script.main([str(run_folder), "--samples", "1", "-o", str(tmp_path)]) == 1
-    line = capsys.readouterr().out.splitlines()[-1]
+    line, splats = capsys.readouterr().out.splitlines()[-2:]
     assert line.startswith("glb    FAILED: asset.glb: not read, Blender ended with status 1") and "Error" in line
+    assert splats.startswith("ply    FAILED: asset.ply: not read, Blender ended with status 1")
 
 
 class FakeBlend:
