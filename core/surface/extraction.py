@@ -139,16 +139,21 @@ def _fused_surface(distance: np.ndarray, grid: Grid, settings: SurfaceSettings) 
     fine = meshing.main_components(meshing.cleaned(meshing.isosurface(distance, grid)), settings.fragment)
     if not len(fine.faces):
         raise IrgsppError("no surface: the largest one that the views' depths agree on is too small for an object")
-    longest = MAX_HOLE_DIAMETERS * float(np.linalg.norm(np.ptp(fine.vertices, axis=0)))
+    longest = _longest_hole(fine.vertices)
     fine = meshing.smoothed(repair.fill_holes(fine, longest), settings.smoothing)
     return _Fused(fine, meshing.vertex_normals(fine, settings.normal_averages), grid.voxel, longest)
+
+
+def _longest_hole(vertices: np.ndarray) -> float:
+    """Return the length of the longest open border that counts as a hole of a surface with vertices (V, 3), world units."""
+    return MAX_HOLE_DIAMETERS * float(np.linalg.norm(np.ptp(vertices, axis=0)))
 
 
 def _reduced(fused: _Fused, triangles: int, settings: SurfaceSettings) -> Surface:
     """Return the surface decimated to a budget, with unit vertex normals that the fused one supplies."""
     mesh = meshing.decimated(fused.mesh, int(DECIMATED_FRACTION * triangles))
-    mesh = repair.make_manifold(meshing.cleaned(mesh))
-    mesh = repair.fill_holes(repair.remove_folds(mesh), fused.longest)  # where three sheets meet, a division leaves a hole
+    mesh = repair.fill_holes(repair.make_manifold(meshing.cleaned(mesh)), fused.longest)
+    mesh = repair.remove_folds(mesh, fused.longest)
     mesh = meshing.main_components(mesh, settings.fragment)  # dividing what only touches can leave a crumb
     return Surface(mesh.vertices, meshing.carried_normals(fused.mesh, fused.normals, mesh), mesh.faces, fused.voxel)
 
@@ -156,7 +161,7 @@ def _reduced(fused: _Fused, triangles: int, settings: SurfaceSettings) -> Surfac
 def _unfold(surface: Surface) -> Surface:
     """Return the surface without folded faces, and with normals that face them."""
     moved = meshing.Triangles(surface.vertices, surface.faces)
-    mesh = repair.remove_folds(moved)
+    mesh = repair.remove_folds(moved, _longest_hole(moved.vertices))
     normals = surface.normals
     if len(mesh.vertices) != len(moved.vertices):  # an edge was collapsed
         normals = meshing.carried_normals(moved, normals, mesh)

@@ -171,14 +171,19 @@ def near_faces(mesh: Triangles, faces: np.ndarray, rings: int) -> np.ndarray:
     return faces
 
 
-def remove_folds(mesh: Triangles) -> Triangles:
-    """Unfold a mesh, and collapse the shortest edge of faces that stay folded."""
+def remove_folds(mesh: Triangles, longest: float) -> Triangles:
+    """Unfold a mesh, and collapse the shortest edge of faces that stay folded.
+
+    Args:
+        mesh: mesh, which may have open borders.
+        longest: border of a hole, world units, see `fill_holes`: where three sheets meet after a collapse, a division leaves a hole.
+    """
     for _ in range(MAX_ROUNDS):
         mesh = unfold(mesh)
         turned = folded_faces(mesh, vertex_normals(mesh, NORMAL_AVERAGES))
         if not turned.any():
             break
-        mesh = make_manifold(cleaned(_collapsed(mesh, turned)))
+        mesh = fill_holes(make_manifold(cleaned(_collapsed(mesh, turned))), longest)
     return mesh
 
 

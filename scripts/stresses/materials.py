@@ -202,7 +202,7 @@ def tables(measured: Measured) -> None:
     seen, left = specular_albedo(n_v, roughness, f0), diffuse_fraction(n_v, roughness)
     (seen.sum() + left.sum()).backward()
     measured.finite("values and gradients", [seen, left, n_v.grad, roughness.grad, f0.grad])
-    low, high = (float(getattr(torch.cat([seen.flatten(), left]), end)()) for end in ("min", "max"))
+    low, high = (float(getattr(torch.cat([seen.flatten(), left]).detach(), end)()) for end in ("min", "max"))
     measured.at_least("least", low, 0.0)
     measured.at_most("most", high, 1.0 + 1e-4)
 

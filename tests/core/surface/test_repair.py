@@ -110,16 +110,30 @@ def test_unfolding_near_the_folds_is_unfolding_of_the_whole_mesh(monkeypatch):
     np.testing.assert_array_equal(near.vertices, repair.unfold(noisy).vertices)
 
 
-def test_fold_that_stays_is_collapsed(monkeypatch):
-    monkeypatch.setattr(repair, "MAX_UNFOLDING_STEPS", 0)
+def folded_sphere() -> Triangles:
+    """Return a sphere with one face divided at a point that lies behind the opposite edge, so that two of its parts are folded."""
     ball = sphere()
     a, b, c = ball.faces[100]
     tip = (ball.vertices[b] + ball.vertices[c]) / 2 * 1.3 - 0.3 * ball.vertices[a]
     vertices, p = np.concatenate([ball.vertices, tip[None]]), len(ball.vertices)
-    folded = Triangles(vertices, np.concatenate([np.delete(ball.faces, 100, 0), [[a, b, p], [b, c, p], [c, a, p]]]))
-    whole = repair.remove_folds(folded)
+    return Triangles(vertices, np.concatenate([np.delete(ball.faces, 100, 0), [[a, b, p], [b, c, p], [c, a, p]]]))
+
+
+def test_fold_that_stays_is_collapsed(monkeypatch):
+    monkeypatch.setattr(repair, "MAX_UNFOLDING_STEPS", 0)
+    folded = folded_sphere()
+    whole = repair.remove_folds(folded, 10.0)
     assert folds(whole) == 0 and counts(whole) == (0, 0, 0)
-    assert len(folded.faces) - 6 <= len(whole.faces) < len(folded.faces) and abs(body(whole).volume / body(ball).volume - 1) < 0.01
+    assert len(folded.faces) - 6 <= len(whole.faces) < len(folded.faces) and abs(body(whole).volume / body(sphere()).volume - 1) < 0.01
+
+
+def test_hole_that_a_division_leaves_is_filled(monkeypatch):
+    monkeypatch.setattr(repair, "MAX_UNFOLDING_STEPS", 0)
+    divide = repair.make_manifold
+    monkeypatch.setattr(repair, "make_manifold", lambda mesh: divide(Triangles(mesh.vertices, mesh.faces[1:])))
+    assert counts(repair.remove_folds(folded_sphere(), 0.0)) == (0, 0, 3)  # no border is short enough to be a hole
+    whole = repair.remove_folds(folded_sphere(), 10.0)
+    assert folds(whole) == 0 and counts(whole) == (0, 0, 0)
 
 
 def test_normals_that_a_face_turns_away_from_are_replaced():
