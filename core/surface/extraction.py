@@ -163,6 +163,6 @@ def _unfold(surface: Surface) -> Surface:
     moved = meshing.Triangles(surface.vertices, surface.faces)
     mesh = repair.remove_folds(moved, _longest_hole(moved.vertices))
     normals = surface.normals
-    if len(mesh.vertices) != len(moved.vertices):  # an edge was collapsed
+    if mesh.faces is not moved.faces:  # an edge was collapsed; the number of vertices may be as before
         normals = meshing.carried_normals(moved, normals, mesh)
     return Surface(mesh.vertices, repair.facing_normals(mesh, normals), mesh.faces, surface.voxel)

@@ -31,7 +31,7 @@ from .scene import RADIUS, Work, ring
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILED = 12  # operations that the profile lists
-PROFILED_STEPS = 5  # iterations that are profiled
+PROFILED_STEPS = 5  # iterations, or frames, that are profiled
 PROFILED_CALLS = 6  # calls of CUDA's driver that the profile lists
 DRIVER_CALLS = ("cuda", "cuLaunch", "cuMem", "cuStream", "cuEvent", "cuCtx")  # how names of launches, copies and waits begin
 JOB_TARGETS = {"balanced": "<= 1 min", "paper": "<= 10 min (paper: 40)"}
@@ -233,11 +233,11 @@ def profile(work: Work, size: Size, device: torch.device) -> list[Measurement]:
         spent = [(e.self_device_time_total, e) for e in events if e.device_type.name == "CUDA"]
         if device.type != "cuda":
             spent = [(e.self_cpu_time_total, e) for e in events]
-        total, calls = sum(time for time, _ in spent) or 1, sum(event.count for _, event in spent) // PROFILED_STEPS
+        total, calls = sum(duration for duration, _ in spent) or 1, sum(event.count for _, event in spent) // PROFILED_STEPS
         found.append(Measurement(f"{name}: on the {device.type}", f"{total / 1000 / PROFILED_STEPS:.2f} ms an iteration, {calls} calls"))
-        found += [_operation(name, time, event, f", {time / total:.0%}") for time, event in _longest(spent, PROFILED)]
+        found += [_operation(name, duration, event, f", {duration / total:.0%}") for duration, event in _longest(spent, PROFILED)]
         driver_calls = [(e.self_cpu_time_total, e) for e in events if e.device_type.name == "CPU" and e.key.startswith(DRIVER_CALLS)]
-        found += [_operation(f"{name}, host", time, event) for time, event in _longest(driver_calls, PROFILED_CALLS)]
+        found += [_operation(f"{name}, host", duration, event) for duration, event in _longest(driver_calls, PROFILED_CALLS)]
     return found
 
 

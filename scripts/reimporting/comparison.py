@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Comparison of an object that was read back from a file with the same object in the .blend: shape, UVs, normals, material and look."""
+"""Comparison of an object read back from a file with that of the .blend: shape, UVs, normals, material and look; and of splats."""
 
 from __future__ import annotations
 
@@ -170,14 +170,6 @@ def material_differences(read: Asset, blend: Asset) -> list[str]:
     return found
 
 
-def _same(a: Any, b: Any) -> bool:
-    return a == b if isinstance(a, str) or isinstance(b, str) else bool(np.allclose(a, b, atol=CLOSE))
-
-
-def _words(value: Any) -> str:
-    return value if isinstance(value, str) else str(np.round(value, 3))
-
-
 def wrong_columns(file: Path, read: Path) -> tuple[list[str], int]:
     """Return the names of the columns of splats that did not come back exactly, and the number of all that count.
 
@@ -189,3 +181,11 @@ def wrong_columns(file: Path, read: Path) -> tuple[list[str], int]:
     names = [one.name for one in written.properties if one.name not in ("nx", "ny", "nz")]
     with np.load(read) as found:
         return [name for name in names if name not in found or not np.array_equal(found[name], written[name])], len(names)
+
+
+def _same(a: Any, b: Any) -> bool:
+    return a == b if isinstance(a, str) or isinstance(b, str) else bool(np.allclose(a, b, atol=CLOSE))
+
+
+def _words(value: Any) -> str:
+    return value if isinstance(value, str) else str(np.round(value, 3))

@@ -8,6 +8,7 @@ import pytest
 import trimesh
 from irgspp.core.errors import Cancelled, IrgsppError
 from irgspp.core.progress.protocol import Silent
+from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import SurfaceSettings
 from irgspp.core.surface import extraction, meshing, repair
 from irgspp.core.surface.extraction import coarser, extract_geometry, extract_levels
@@ -66,6 +67,15 @@ def test_a_rough_offset_to_the_silhouettes_leaves_no_folded_face(solids, camera_
     assert repair.folded_faces(mesh, surface.normals).sum() == 0
     assert repair.folded_faces(mesh, meshing.vertex_normals(mesh, repair.NORMAL_AVERAGES)).sum() == 0
     assert body_of(surface).is_watertight and len(surface.normals) == len(surface.vertices)
+
+
+def test_normals_follow_a_repair_that_keeps_the_number_of_vertices(monkeypatch):
+    """A collapse removes vertices, and filling the hole that it leaves may add as many."""
+    ball = trimesh.creation.icosphere(3)
+    vertices, faces = np.array(ball.vertices), np.array(ball.faces)
+    monkeypatch.setattr(repair, "remove_folds", lambda *_: meshing.Triangles(vertices[::-1].copy(), len(vertices) - 1 - faces))
+    mended = extraction._unfold(Surface(vertices, vertices.copy(), faces, 0.1))
+    assert (mended.normals * mended.vertices).sum(-1).min() > 0.99
 
 
 def test_vertex_normals_are_those_of_the_solid(extracted):

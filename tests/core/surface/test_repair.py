@@ -111,7 +111,7 @@ def test_unfolding_near_the_folds_is_unfolding_of_the_whole_mesh(monkeypatch):
 
 
 def folded_sphere() -> Triangles:
-    """Return a sphere with one face divided at a point that lies behind the opposite edge, so that two of its parts are folded."""
+    """Return a sphere with one face divided at a point that lies behind the opposite edge, so that the part there is folded."""
     ball = sphere()
     a, b, c = ball.faces[100]
     tip = (ball.vertices[b] + ball.vertices[c]) / 2 * 1.3 - 0.3 * ball.vertices[a]
