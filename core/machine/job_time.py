@@ -19,7 +19,7 @@ from .thread_pool import thread_count
 START, END = 5.0, 5.0  # of the libraries and the reader, and of the files at the end
 STEP, STEP_SURFEL, STEP_PIXEL = 0.005, 6.2e-7, 1.1e-7  # of the first stage, for each surfel, and for each pixel that it fits
 UNMASKED = 2.5  # times as long for a pixel without masks, where surfels of the surroundings lie behind one another
-TRIAL_STEP, START_STEP = 0.014, 0.025  # of a trial fit that compares classes, and of one that compares starts, at most
+TRIAL_STEP, START_STEP = 0.014, 0.025  # of a trial fit that compares classes, and of one that compares starts or edges, at most
 LONGEST = 1.5  # longest side of an object in roots of its area: 1.25 to 1.9 on six scenes
 SURFACE = 18.0  # stereo, fusion and bake at the balanced preset; by the square of the voxels
 PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
@@ -71,6 +71,7 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
     step = step_seconds(settings, data)
     trials += 2 * first.trial_iterations * min(step, START_STEP) if first.stereo == "auto" else 0.0
+    trials += 2 * first.trial_iterations * min(step, START_STEP) if first.open_edges is None and data.has_alpha else 0.0
     fit = first.iterations * step
     return START + trials + fit + fixed_seconds(settings, data) + schedule_seconds(settings, data)
 

@@ -67,7 +67,8 @@ class FirstStageSettings:
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
-    open_edges: Annotated[float, Range(0, 1)] = 0.0  # first part of the schedule, in which normals at edges may disagree; 0: as published
+    # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
+    open_edges: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the environment map

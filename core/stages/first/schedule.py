@@ -27,9 +27,9 @@ def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
     """Return the weights of the losses.
 
     Normal consistency in full fills corners and gaps between parts, where the depth's normals are a mean of both sides. While edges are
-    open they stay free, but reflections then roughen metal parts, so that edges are not open by default.
+    open they stay free, but reflections then roughen metal parts, so that trial fits decide (`select_open_edges`).
     """
-    edge = OPEN_EDGE_DISAGREEMENT if done < settings.open_edges * settings.iterations else math.inf
+    edge = OPEN_EDGE_DISAGREEMENT if done < (settings.open_edges or 0.0) * settings.iterations else math.inf
     return LossWeights(settings.mask_weight, settings.normal_weight, edge)
 
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
@@ -12,12 +12,8 @@ from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
 from .material_class import GLOSSY, METAL, MaterialClass, with_geometry_rates
 from .stereo_initialization import StereoStart, from_stereo
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, prepare_trial, report_trials, run_trials
 
-# With masks, the trial fits of two starts are finer than those that select the class, as the starts differ in less. On suzanne_mixed all of
-# stereo's points are worse in the end, by .7 dB on new views. Held-back views of these fits say so by .1 dB; with 8,000 surfels on 100
-# pixels, or after 120 steps, they would prefer all points by .1 dB.
-FINER_SURFELS, FINER_RESOLUTION = 2.5, 2  # factors of `first.trial_gaussians` and `first.trial_resolution`
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
 
@@ -88,15 +84,10 @@ def _trial(
     dataset: Dataset, settings: Settings, starts: dict[str, Gaussians], material_class: MaterialClass, progress: Progress, crop: bool
 ) -> dict[str, float]:
     """Return the PSNR in dB of a trial fit from each start on held-back views."""
-    first, single_rays = settings.first, 0.0
-    if dataset.has_alpha:
-        single_rays = 1.0  # takes half the time of four, and decides alike on seven objects
-        surfels, resolution = int(FINER_SURFELS * first.trial_gaussians), FINER_RESOLUTION * first.trial_resolution
-        first = replace(first, trial_gaussians=surfels, trial_resolution=resolution)
     rated = with_geometry_rates(material_class, GLOSSY)  # as the trial fits that selected the class
-    settings = replace(settings, first=first)
-    fits = {key: prepare_trial(dataset, settings, start, rated, crop, single_rays) for key, start in starts.items()}
-    progress.phase("start", first.trial_iterations)
+    prepare = prepare_finer_trial if dataset.has_alpha else prepare_trial
+    fits = {key: prepare(dataset, settings, start, rated, crop) for key, start in starts.items()}
+    progress.phase("start", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
     if given_up or not dataset.has_alpha:  # with masks, the trial fits of the classes have been reported
         report_trials(settings, given_up, progress)

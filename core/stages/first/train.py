@@ -17,6 +17,7 @@ from ..common.preview import points_shape
 from ..common.skip_rules import decide_skip_rule
 from ..common.time_budget import first_stage_largest_scale, first_stage_schedule_scale, scale_schedule, scaled_iterations
 from ..common.training_view import object_box
+from .edge_selection import select_open_edges
 from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
 from .material_class import MaterialClass
@@ -86,6 +87,7 @@ def train(
         progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
+        settings = replace(settings, first=select_open_edges(dataset, settings, start, material_class, progress, crop))
     # A deadline tells the length of the schedule.
     schedule = scaled_iterations(1.0 if deadline is not None else material_class.schedule, settings.first.iterations)
     trainer = _trainer(dataset, settings, schedule, start, material_class, crop=crop, resident=resident)

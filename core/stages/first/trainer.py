@@ -280,6 +280,7 @@ class Trainer:
         order = {"order": self.order, "generator": self.generator.get_state()}
         schedule = {"done": self.done, "iterations": self.settings.iterations, "kind": self.material_class.name}
         anchors = None if self.anchors is None else self.anchors.state()
+        schedule["open_edges"] = self.settings.open_edges or 0.0
         return {**schedule, "optimizer": self.optimizer.state(), "anchors": anchors, **density, **order}
 
     def restore(self, state: dict[str, Any]) -> None:
@@ -292,6 +293,7 @@ class Trainer:
         if not fits:
             raise invalid_checkpoint()
         self.done, self.order, self.anchors = int(state["done"]), state["order"], anchors
+        self.settings = replace(self.settings, open_edges=float(state["open_edges"]))
         self.reschedule(int(state["iterations"]))
         self.generator.set_state(state["generator"])
         self.density.gradient, self.density.seen = state["gradient"].to(self.device), state["seen"].to(self.device)

@@ -129,7 +129,7 @@ def test_a_lost_gpu_leaves_a_checkpoint(tmp_path, monkeypatch):
 
     monkeypatch.setattr(trainers, "CHECKPOINT_SECONDS", 0.0)
     monkeypatch.setattr(Trainer, "step", fails)
-    small = ["materials=low-gloss", "first.gaussians=500", "first.iterations=30", "first.stereo=off", "device=cpu"]
+    small = ["materials=low-gloss", "first.gaussians=500", "first.iterations=30", "first.stereo=off", "first.open_edges=0", "device=cpu"]
     with pytest.raises(DeviceLost, match="--resume"):
         reconstruct(DEMO_DATA, tmp_path / "run", with_overrides(preset("draft"), small))
     state = torch.load(tmp_path / "run" / "checkpoint" / "first_stage.pt", weights_only=True)

@@ -31,8 +31,10 @@ def test_more_work_takes_longer(data, history):
     assert estimate_seconds(preset("draft"), data) < 0.7 * balanced
     larger = replace(data, train=[*data.train, *data.train])
     assert balanced < estimate_seconds(SETTINGS, larger) < 1.5 * balanced  # steps do not grow with the photographs
+    no_trial = replace(SETTINGS, first=replace(SETTINGS.first, open_edges=0.0))  # only masked jobs have it
     unmasked = replace(data, train=[replace(view, alpha=None) for view in data.train])
-    assert estimate_seconds(SETTINGS, unmasked) > balanced
+    assert estimate_seconds(no_trial, data) < estimate_seconds(SETTINGS, data)
+    assert estimate_seconds(no_trial, unmasked) > estimate_seconds(no_trial, data)
 
 
 def test_photographs_are_reduced_to_the_resolution(data, history):
@@ -67,7 +69,7 @@ def test_what_is_not_known_is_not_told(data, history):
     assert estimate_seconds(joint, data) is None and estimate_seconds(budget, data) is None
     short = replace(
         Settings(materials="low-gloss"),
-        first=replace(SETTINGS.first, iterations=1),
+        first=replace(SETTINGS.first, iterations=1, open_edges=0.0),
         second=replace(SETTINGS.second, points=100, iterations=1, radiance_iterations=1, normal_iterations=1),
     )
     for settings in (joint, budget, short):

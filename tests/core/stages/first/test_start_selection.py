@@ -59,23 +59,11 @@ def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
     assert progress.found["stereo"] == (True, "as set")
 
 
-def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, monkeypatch):
-    sizes = []
-    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *rest: sizes.append((settings.first, rest[-1])))
-    monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({}, []))
-    progress = Decisions()
-    start_selection._trial(scene[0], SETTINGS, {"one": scene[1]}, LOW_GLOSS, progress, False)
-    assert not progress.found  # the report of the classes' trials stays
-    first, single_rays = sizes[0]
-    assert first.trial_gaussians == 2.5 * SETTINGS.first.trial_gaussians
-    assert first.trial_resolution == 2 * SETTINGS.first.trial_resolution
-    assert single_rays == 1
-
-
 @pytest.mark.parametrize(("masked", "given_up"), [(False, []), (True, ["one after 75 of 250 steps"])])
 def test_trial_fits_of_starts_are_reported(sphere_dataset, camera_ring, scene, monkeypatch, masked, given_up):
     dataset, progress = sphere_dataset(camera_ring(12, 32), masked=masked), Decisions()
-    monkeypatch.setattr(start_selection, "prepare_trial", lambda *_: None)
+    prepare = "prepare_finer_trial" if masked else "prepare_trial"
+    monkeypatch.setattr(start_selection, prepare, lambda *_: None)
     monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({"one": 30.0}, given_up))
     assert start_selection._trial(dataset, SETTINGS, {"one": scene[1]}, LOW_GLOSS, progress, False) == {"one": 30.0}
     on, evidence = progress.found["trials"]

@@ -24,7 +24,7 @@ from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer
 from irgspp.core.stages.first.trial_fits import subsample
 
-SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "first.stereo=off")
+SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "first.stereo=off", "first.open_edges=0")
 BOUND = Bound((0.0, 0.0, 0.0), 1.5)
 
 
@@ -81,6 +81,20 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
     for name, value in whole.gaussians.tensors().items():
         assert torch.equal(value, resumed.gaussians.tensors()[name]), name
     assert torch.equal(whole.environment, resumed.environment)
+
+
+def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
+    dataset, chosen, memory = sphere_dataset(camera_ring(9, 32)), settings("materials=low-gloss"), Memory()
+    opened = replace(chosen.first, open_edges=0.9)
+    closed, _ = train(dataset, chosen)
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_open_edges", lambda *_: opened)
+    whole, _ = train(dataset, chosen)
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(5), memory)
+    monkeypatch.undo()  # a continued fit makes no trial
+    resumed, _ = train(dataset, chosen, checkpoint=memory)
+    assert torch.equal(whole.gaussians.position, resumed.gaussians.position)
+    assert not torch.equal(whole.gaussians.position, closed.gaussians.position)
 
 
 @pytest.mark.parametrize("material_class", [GLOSSY, METAL])

@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Selection between open and closed edges, with given results of the trial fits and with real ones."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
+from irgspp.core.stages.first import edge_selection
+from irgspp.core.stages.first.edge_selection import CLOSED, MARGIN, OPEN, OPEN_EDGES, select_open_edges
+from irgspp.core.stages.first.initialization import initial_gaussians
+from irgspp.core.stages.first.material_class import GLOSSY, METAL
+from irgspp.core.stages.first.start_selection import Start
+
+SETTINGS = preset("draft")
+
+
+class Decisions(Silent):
+    """Progress that keeps the decisions and the phases."""
+
+    def __init__(self):
+        self.found, self.phases = {}, []
+
+    def decided(self, rule, on, evidence):
+        self.found[rule] = on, evidence
+
+    def phase(self, name, steps):
+        self.phases.append(name)
+
+
+@pytest.fixture
+def scene(sphere_dataset, camera_ring):
+    dataset = sphere_dataset(camera_ring(12, 32))
+    return dataset, Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
+
+
+@pytest.fixture
+def no_trials(monkeypatch):
+    monkeypatch.setattr(edge_selection, "run_trials", lambda *_: pytest.fail("a trial was run"))
+
+
+@pytest.mark.parametrize(("gain", "part"), [(MARGIN + 0.01, OPEN_EDGES), (MARGIN - 0.01, 0.0), (-1.0, 0.0)])
+def test_held_back_views_decide_by_a_margin(scene, monkeypatch, gain, part):
+    parts = {}
+
+    def run(fits, *_):
+        parts.update({name: fit.settings.open_edges for name, fit in fits.items()})
+        return {CLOSED: 30.0, OPEN: 30.0 + gain}, []
+
+    monkeypatch.setattr(edge_selection, "run_trials", run)
+    progress = Decisions()
+    first = select_open_edges(scene[0], SETTINGS, scene[1], GLOSSY, progress)
+    assert first == replace(SETTINGS.first, open_edges=part)
+    assert parts == {CLOSED: 0.0, OPEN: OPEN_EDGES}
+    assert progress.found == {"open_edges": (part > 0, f"held-back views: closed 30.00 dB, open {30 + gain:.2f} dB")}
+
+
+@pytest.mark.parametrize("part", [0.0, 0.25])
+def test_a_number_decides_without_a_trial(scene, no_trials, part):
+    progress = Decisions()
+    settings = with_overrides(SETTINGS, [f"first.open_edges={part}"])
+    assert select_open_edges(scene[0], settings, scene[1], GLOSSY, progress).open_edges == part
+    assert progress.found == {"open_edges": (part > 0, "as set")}
+
+
+@pytest.mark.parametrize(("views", "masked", "material_class"), [(12, True, METAL), (12, False, GLOSSY), (7, True, GLOSSY)])
+def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, no_trials, views, masked, material_class):
+    dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), Decisions()
+    start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
+    assert select_open_edges(dataset, SETTINGS, start, material_class, progress).open_edges == 0
+    on, evidence = progress.found["open_edges"]
+    assert not on
+    assert evidence.startswith("closed: ")
+
+
+def test_trial_fits_are_finer_than_those_of_the_classes(scene):
+    progress = Decisions()
+    settings = with_overrides(SETTINGS, ["first.trial_iterations=2", "first.trial_gaussians=20", "first.trial_resolution=16"])
+    sizes = []
+    prepare = edge_selection.prepare_finer_trial
+
+    def prepared(*arguments):
+        fit = prepare(*arguments)
+        sizes.append((fit.optimizer.gaussians.count, fit.training_views[0].image.shape[-1], fit.settings.single_rays))
+        return fit
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(edge_selection, "prepare_finer_trial", prepared)
+        select_open_edges(scene[0], settings, scene[1], GLOSSY, progress)
+    assert sizes == [(50, 32, 1.0)] * 2
+    assert progress.phases == ["edges"]
