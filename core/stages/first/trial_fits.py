@@ -22,9 +22,9 @@ from .trainer import Trainer
 
 MIN_HOLD_BACK_VIEWS = 8  # views; with fewer, all are needed for training
 TRIAL_HOLD_BACK = 6  # every 6th view is held back from a trial fit
-# Trial fits of two fits that differ in little are finer than those that select the class. On suzanne_mixed a start on all of stereo's points
-# is worse in the end, by .7 dB on new views. Held-back views of finer fits say so by .1 dB; with 8,000 surfels on 100 pixels, or after 120
-# steps, they would prefer all points by .1 dB.
+# Trials of what matters less than the class are finer than its own. On suzanne_mixed a start on all of stereo's points is worse in the
+# end, by .7 dB on new views. Held-back views of finer fits say so by .1 dB; with 8,000 surfels on 100 pixels, or after 120 steps, they
+# would prefer all points by .1 dB.
 FINER_SURFELS, FINER_RESOLUTION = 2.5, 2  # factors of `first.trial_gaussians` and `first.trial_resolution`
 LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit resolve no more
 GIVE_UP_LIMITS = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)

@@ -41,7 +41,7 @@ def no_trials(monkeypatch):
     monkeypatch.setattr(edge_selection, "run_trials", lambda *_: pytest.fail("a trial was run"))
 
 
-@pytest.mark.parametrize(("gain", "part"), [(MARGIN + 0.01, OPEN_EDGES), (MARGIN - 0.01, 0.0), (-1.0, 0.0)])
+@pytest.mark.parametrize(("gain", "part"), [(1.0, OPEN_EDGES), (0.01 - MARGIN, OPEN_EDGES), (-0.01 - MARGIN, 0.0)])
 def test_held_back_views_decide_by_a_margin(scene, monkeypatch, gain, part):
     parts = {}
 
@@ -78,16 +78,18 @@ def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, 
 def test_trial_fits_are_finer_than_those_of_the_classes(scene):
     progress = Decisions()
     settings = with_overrides(SETTINGS, ["first.trial_iterations=2", "first.trial_gaussians=20", "first.trial_resolution=16"])
-    sizes = []
+    sizes, fits = [], []
     prepare = edge_selection.prepare_finer_trial
 
     def prepared(*arguments):
         fit = prepare(*arguments)
-        sizes.append((fit.optimizer.gaussians.count, fit.training_views[0].image.shape[-1], fit.settings.single_rays))
+        sizes.append((fit.optimizer.gaussians.count, fit.training_views[0].image.shape[-1], fit.settings.iterations))
+        fits.append(fit)
         return fit
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(edge_selection, "prepare_finer_trial", prepared)
         select_open_edges(scene[0], settings, scene[1], GLOSSY, progress)
-    assert sizes == [(50, 32, 1.0)] * 2
+    assert sizes == [(50, 32, 4)] * 2
+    assert [(fit.done, fit.settings.single_rays) for fit in fits] == [(2, 1.0)] * 2  # edges are open to the end of such a trial
     assert progress.phases == ["edges"]
