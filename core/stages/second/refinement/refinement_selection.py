@@ -22,6 +22,7 @@ from ...common.time_budget import MAX_SECOND_STAGE_SCALE, scale_schedule, second
 from ..metal import is_mostly_metal
 from ..step_report import report_step
 from .material_confidence import with_confidence
+from .metal_albedo import with_pooled_metal_albedo
 from .pixel_pool import PixelPool, pool_pixels, with_surface_normals
 from .refinement import Refinement
 from .roughness_pooling import with_pooled_roughness
@@ -87,11 +88,11 @@ def refine(
 
 
 def _by_confidence(result: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: Settings) -> Reconstruction:
-    """Return a refined reconstruction with the confidence of its materials, and with a roughness that is pooled by it."""
+    """Return a refined reconstruction with the confidence of its materials, roughness pooled by it, and pooled albedo of metal."""
     known = with_confidence(result, pool, tracer, settings.second, settings.seed)
-    if is_mostly_metal(known.gaussians):  # its roughness makes up for wrong normals: new views of a teapot lost 1 dB
+    if is_mostly_metal(known.gaussians):  # its materials make up for wrong normals: new views of a teapot lost 1 dB, relit ones .4
         return known
-    return with_pooled_roughness(known, settings.seed)
+    return with_pooled_metal_albedo(with_pooled_roughness(known, settings.seed), settings.seed)
 
 
 def prepare_refinements(

@@ -10,12 +10,10 @@ from __future__ import annotations
 
 import torch
 
-# Width of the kernel in log ratios of channels, and what is added to its mean value, so that no tint is impossible. Points of another
-# material that became metal, and points of metal that did not, without and with the colours: capture_ogre 80 and 27, 8 and 17;
-# rocker_corner 1 and 13, 0 and 8; suzanne_mixed 5 and 1, 5 and 2; a vase with glazed bands 49 and 10, 7 and 4; a basket with a chain 14
-# and 0, 6 and 1. Widths of .1 to .2 and floors of .02 to .04 give about the same.
-TINT_WIDTH, FLOOR = 0.14, 0.04
-DARKEST = 0.01  # albedo below which a channel tells no tint
+from ..metal import DARKEST, TINT_WIDTH, tints
+
+# Added to the mean value of the kernel, so that no tint is impossible; .02 to .04 give about the same.
+FLOOR = 0.04
 
 
 def colour_evidence(as_metal: torch.Tensor, as_dielectric: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
@@ -36,7 +34,6 @@ def colour_evidence(as_metal: torch.Tensor, as_dielectric: torch.Tensor, metal: 
 
 def _density(albedo: torch.Tensor, members: torch.Tensor) -> torch.Tensor:
     """Return the mean (P,) in 0..1 of a kernel of the differences between a point's tint and those of other points, the `members`."""
-    log = albedo.clamp_min(DARKEST).log()
-    tint = torch.stack([log[:, 0] - log[:, 1], log[:, 2] - log[:, 1]], 1)
+    tint = tints(albedo.clamp_min(DARKEST).log())
     kernel = torch.exp(-0.5 * (torch.cdist(tint, tint) / TINT_WIDTH) ** 2).fill_diagonal_(0)
     return (kernel * members).sum(1) / (members.sum() - members.to(kernel)).clamp_min(1)

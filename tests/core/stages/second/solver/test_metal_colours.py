@@ -5,7 +5,8 @@ import math
 
 import pytest
 import torch
-from irgspp.core.stages.second.solver.metal_colours import DARKEST, FLOOR, TINT_WIDTH, colour_evidence
+from irgspp.core.stages.second.metal import DARKEST, TINT_WIDTH
+from irgspp.core.stages.second.solver.metal_colours import FLOOR, colour_evidence
 
 GOLD, COPPER, SKIN = (1.0, 0.77, 0.34), (0.95, 0.64, 0.54), (0.4, 0.45, 0.25)
 
