@@ -182,7 +182,8 @@ PRESETS: dict[str, Settings] = {
     "draft": Settings(  # a quick look
         preset="draft",
         data=replace(DataSettings(), resolution=320),
-        first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, trial_iterations=120, trial_gaussians=5_000),
+        # The short trials can't tell the parts of metal that lose by open edges.
+        first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, open_edges=0.0, trial_iterations=120, trial_gaussians=5_000),
         second=replace(SecondStageSettings(), points=1500, iterations=100, radiance_iterations=50, normal_iterations=60),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture_least=512, texture_most=1024),
     ),
@@ -197,7 +198,15 @@ PRESETS: dict[str, Settings] = {
     "paper": Settings(  # the published schedule, for a GPU
         preset="paper",
         data=replace(DataSettings(), resolution=800),
-        first=replace(FirstStageSettings(), iterations=50_000, gaussians=100_000, gaussians_per_pixel=0.0, subpixels=1, anchor_weight=0.0),
+        first=replace(
+            FirstStageSettings(),
+            iterations=50_000,
+            gaussians=100_000,
+            gaussians_per_pixel=0.0,
+            subpixels=1,
+            anchor_weight=0.0,
+            open_edges=0.0,
+        ),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(
             SecondStageSettings(),

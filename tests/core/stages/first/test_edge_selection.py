@@ -14,7 +14,7 @@ from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, METAL
 from irgspp.core.stages.first.start_selection import Start
 
-SETTINGS = preset("draft")
+SETTINGS = replace(preset("draft"), first=replace(preset("draft").first, open_edges=None))
 
 
 class Decisions(Silent):
