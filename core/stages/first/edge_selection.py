@@ -62,7 +62,7 @@ def _reason_against(dataset: Dataset, settings: Settings, material_class: Materi
     if settings.first.open_edges is not None:
         return "as set"
     if not dataset.has_alpha:
-        return "closed: without masks the surroundings' edges would decide"
+        return "closed: not tried without masks"
     if material_class == METAL:
         return "closed: open edges roughen a metal's reflections"
     if len(dataset.train) < MIN_HOLD_BACK_VIEWS:
