@@ -29,6 +29,6 @@ def state_fits(state: dict[str, Any], view_count: int, optimizer: GaussianOptimi
     views = order.dtype == torch.long and order.ndim == 1 and bool(((order >= 0) & (order < view_count)).all())
     statistics = gradient.dtype == seen.dtype == torch.float32 and gradient.shape == seen.shape == (len(seen),)
     counts = all(type(state[name]) is int for name in ("done", "iterations", "pictures"))
-    counts = counts and type(state["open_edges"]) is float and 0 <= state["open_edges"] <= 1
-    schedule = counts and 0 <= state["done"] <= state["iterations"] and state["iterations"] > 0 and state["pictures"] >= 0
+    edges = type(state["open_edges"]) is float and 0 <= state["open_edges"] <= 1
+    schedule = counts and edges and 0 <= state["done"] <= state["iterations"] and state["iterations"] > 0 and state["pictures"] >= 0
     return views and statistics and schedule and optimizer.fits(state["optimizer"])

@@ -10,10 +10,11 @@ from ...scene.dataset import Dataset
 from ...settings.schema import FirstStageSettings, Settings
 from .material_class import METAL, MaterialClass
 from .start_selection import Start
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, report_trials, run_trials
 
 OPEN_EDGES = 0.6  # first part of the schedule in which edges are open, where they are
-SCHEDULE = 2  # length of the trial fits' schedule, of which they do the part that one trial has: their edges are still open then
+# Length of the trial fits' schedule in lengths of a trial. They end in the middle of it, where open edges are still open.
+SCHEDULE_FACTOR = 2
 OPEN, CLOSED = "open", "closed"  # names of the trial fits
 
 
@@ -46,12 +47,13 @@ def select_open_edges(
         part = first.open_edges or 0.0
         progress.decided("open_edges", part > 0, reason)
         return replace(first, open_edges=part)
-    longer = replace(first, trial_iterations=SCHEDULE * first.trial_iterations)
+    longer = replace(first, trial_iterations=SCHEDULE_FACTOR * first.trial_iterations)
     parts = {CLOSED: 0.0, OPEN: OPEN_EDGES}
     tried = {name: replace(settings, first=replace(longer, open_edges=part)) for name, part in parts.items()}
     fits = {name: prepare_finer_trial(dataset, one, start.gaussians, material_class, crop) for name, one in tried.items()}
-    progress.phase("edges", first.trial_iterations)
-    score, _ = run_trials(fits, settings, progress)
+    score, given_up = run_trials(fits, "edges", settings, progress)
+    if given_up:
+        report_trials(settings, given_up, progress)
     best = max(score, key=lambda name: score[name])
     progress.decided("open_edges", best == OPEN, "held-back views: " + ", ".join(f"{name} {value:.2f} dB" for name, value in score.items()))
     return replace(first, open_edges=parts[best])

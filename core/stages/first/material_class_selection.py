@@ -50,10 +50,8 @@ def select_material_class(
         return material_class_named(classes[0].name, dataset)
     if len(classes) == 1 or len(dataset.train) < MIN_HOLD_BACK_VIEWS:
         return classes[0]
-    # The same geometry rates for all: the shading models are compared, not the rates.
-    fits = {m.name: prepare_trial(dataset, settings, gaussians, with_geometry_rates(m, GLOSSY), crop) for m in classes}
-    progress.phase("materials", settings.first.trial_iterations)
-    score, given_up = run_trials(fits, settings, progress)
+    fits = {m.name: prepare_trial(dataset, settings, gaussians, m, crop) for m in classes}
+    score, given_up = run_trials(fits, "materials", settings, progress)
     report_trials(settings, given_up, progress)
     turns = light_rotations(dataset.train) is not None
     margins = _margins(settings.first.trial_margin, turns)

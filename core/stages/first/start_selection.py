@@ -10,7 +10,7 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
-from .material_class import GLOSSY, METAL, MaterialClass, with_geometry_rates
+from .material_class import METAL, MaterialClass
 from .stereo_initialization import StereoStart, from_stereo
 from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, prepare_trial, report_trials, run_trials
 
@@ -84,11 +84,9 @@ def _trial(
     dataset: Dataset, settings: Settings, starts: dict[str, Gaussians], material_class: MaterialClass, progress: Progress, crop: bool
 ) -> dict[str, float]:
     """Return the PSNR in dB of a trial fit from each start on held-back views."""
-    rated = with_geometry_rates(material_class, GLOSSY)  # as the trial fits that selected the class
     prepare = prepare_finer_trial if dataset.has_alpha else prepare_trial
-    fits = {key: prepare(dataset, settings, start, rated, crop) for key, start in starts.items()}
-    progress.phase("start", settings.first.trial_iterations)
-    score, given_up = run_trials(fits, settings, progress)
+    fits = {key: prepare(dataset, settings, start, material_class, crop) for key, start in starts.items()}
+    score, given_up = run_trials(fits, "start", settings, progress)
     if given_up or not dataset.has_alpha:  # with masks, the trial fits of the classes have been reported
         report_trials(settings, given_up, progress)
     return score

@@ -22,9 +22,9 @@ from .trainer import Trainer
 
 MIN_HOLD_BACK_VIEWS = 8  # views; with fewer, all are needed for training
 TRIAL_HOLD_BACK = 6  # every 6th view is held back from a trial fit
-# Trials of what matters less than the class are finer than its own. On suzanne_mixed a start on all of stereo's points is worse in the
-# end, by .7 dB on new views. Held-back views of finer fits say so by .1 dB; with 8,000 surfels on 100 pixels, or after 120 steps, they
-# would prefer all points by .1 dB.
+# Starts and edges differ in less than material classes do, so that their trial fits are finer. On suzanne_mixed a start on all of stereo's
+# points is worse in the end, by .7 dB on new views. Held-back views of finer fits say so by .1 dB; with 8,000 surfels on 100 pixels, or
+# after 120 steps, they would prefer all points by .1 dB.
 FINER_SURFELS, FINER_RESOLUTION = 2.5, 2  # factors of `first.trial_gaussians` and `first.trial_resolution`
 LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit resolve no more
 GIVE_UP_LIMITS = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
@@ -39,7 +39,8 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
         dataset: views.
         settings: settings of the job; `first.trial_*` are the fit's size.
         gaussians: initial Gaussians, of which some are selected.
-        material_class: initial materials and learning rates.
+        material_class: initial materials and learning rates; the geometry rates are those of GLOSSY for all, so that the fits differ in
+            what is tried alone.
         crop: crop the images to the object.
     """
     brief, camera = settings.first, dataset.train[0].camera
@@ -47,25 +48,23 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
     light_height = min(LIGHT_HEIGHT, brief.light_height)
     brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=1.0)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
-    return Trainer(dataset, brief, few, material_class, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop)
+    rated = with_geometry_rates(material_class, GLOSSY)
+    return Trainer(dataset, brief, few, rated, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop)
 
 
 def prepare_finer_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
-    """Prepare a trial fit of more surfels on larger images.
-
-    The fit has the geometry rates of the trial fits that selected the class. Args as in `prepare_trial`.
-    """
+    """Prepare a trial fit of more surfels on larger images; arguments as of `prepare_trial`."""
     surfels = int(FINER_SURFELS * settings.first.trial_gaussians)
     first = replace(settings.first, trial_gaussians=surfels, trial_resolution=FINER_RESOLUTION * settings.first.trial_resolution)
-    rated = with_geometry_rates(material_class, GLOSSY)
-    return prepare_trial(dataset, replace(settings, first=first), gaussians, rated, crop)
+    return prepare_trial(dataset, replace(settings, first=first), gaussians, material_class, crop)
 
 
-def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
+def run_trials(fits: Mapping[str, Trainer], phase: str, settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
     """Run all trial fits in turns.
 
     Args:
         fits: by the name of what is tried.
+        phase: its name, for the progress.
         settings: settings of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
         progress: receives steps and previews, and may cancel.
 
@@ -77,6 +76,7 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         Cancelled: the user stopped the work.
     """
     iterations = settings.first.trial_iterations
+    progress.phase(phase, iterations)
     may_give_up = settings.skip.trials != "off"
     checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP_LIMITS} if may_give_up else {}
     score, running, given_up = dict.fromkeys(fits, 0.0), list(fits), []

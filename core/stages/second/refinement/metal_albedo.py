@@ -46,12 +46,12 @@ def _pooled(gaussians: Gaussians, metal: torch.Tensor, seed: int) -> torch.Tenso
     """Return the pooled albedo (3, M) of the surfels `metal` (M,)."""
     log = gaussians.materials().detach()[ALBEDO][:, metal].cpu().clamp_min(DARKEST).log()
     sources = torch.randperm(len(metal), generator=torch.Generator().manual_seed(seed))[:MAX_SOURCES]
-    medians = like_medians(log.T.numpy(), log.T[sources].numpy())
+    medians = tint_weighted_medians(log.T.numpy(), log.T[sources].numpy())
     pooled = torch.lerp(log, torch.from_numpy(medians.T.copy()), POOLED_SHARE)
     return pooled.exp().clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)
 
 
-def like_medians(log: np.ndarray, sources: np.ndarray) -> np.ndarray:
+def tint_weighted_medians(log: np.ndarray, sources: np.ndarray) -> np.ndarray:
     """Compute medians of sources, weighted by how much their tint is like that of each point.
 
     Args:

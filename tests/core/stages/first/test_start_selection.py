@@ -59,6 +59,17 @@ def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
     assert progress.found["stereo"] == (True, "as set")
 
 
+def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, monkeypatch):
+    fits = {}
+    monkeypatch.setattr(start_selection, "run_trials", lambda given, *_: (fits.update(given), ({}, []))[1])
+    settings = with_overrides(SETTINGS, ["first.trial_gaussians=20", "first.trial_resolution=16"])
+    progress = Decisions()
+    start_selection._trial(scene[0], settings, {"one": scene[1]}, LOW_GLOSS, progress, False)
+    assert not progress.found  # the report of the classes' trials stays
+    fit = fits["one"]
+    assert (fit.optimizer.gaussians.count, fit.training_views[0].image.shape[-1], fit.settings.single_rays) == (50, 32, 1)
+
+
 @pytest.mark.parametrize(("masked", "given_up"), [(False, []), (True, ["one after 75 of 250 steps"])])
 def test_trial_fits_of_starts_are_reported(sphere_dataset, camera_ring, scene, monkeypatch, masked, given_up):
     dataset, progress = sphere_dataset(camera_ring(12, 32), masked=masked), Decisions()

@@ -10,7 +10,7 @@ from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import ALBEDO, METALLIC
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.stages.second.metal import TINT_WIDTH
-from irgspp.core.stages.second.refinement.metal_albedo import LOGIT_MARGIN, POOLED_SHARE, like_medians, with_pooled_metal_albedo
+from irgspp.core.stages.second.refinement.metal_albedo import LOGIT_MARGIN, POOLED_SHARE, tint_weighted_medians, with_pooled_metal_albedo
 
 COUNT = 1500
 GOLD, STEEL = np.array([0.9, 0.65, 0.3]), np.array([0.6, 0.6, 0.62])
@@ -64,7 +64,7 @@ def test_medians_weigh_sources_by_their_tint():
     random = np.random.default_rng(1)
     log, sources = random.normal(-1, 0.2, (50, 3)), random.normal(-1, 0.2, (81, 3))
     tint = lambda x: np.stack([x[:, 0] - x[:, 1], x[:, 2] - x[:, 1]], 1)  # noqa: E731
-    for point, found in zip(log, like_medians(log, sources), strict=True):
+    for point, found in zip(log, tint_weighted_medians(log, sources), strict=True):
         weight = np.exp(-0.5 * np.square(tint(sources) - tint(point[None])).sum(1) / TINT_WIDTH**2)
         for channel in range(3):  # half of the weight lies on either side of a weighted median
             values = sources[:, channel]
