@@ -51,7 +51,8 @@ def select_open_edges(
     parts = {CLOSED: 0.0, OPEN: OPEN_EDGES}
     tried = {name: replace(settings, first=replace(longer, open_edges=part)) for name, part in parts.items()}
     fits = {name: prepare_finer_trial(dataset, one, start.gaussians, material_class, crop) for name, one in tried.items()}
-    score, given_up = run_trials(fits, "edges", settings, progress)
+    progress.phase("edges", settings.first.trial_iterations)
+    score, given_up = run_trials(fits, settings, progress)
     if given_up:
         report_trials(settings, given_up, progress)
     best = max(score, key=lambda name: score[name])

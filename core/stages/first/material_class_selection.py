@@ -51,7 +51,8 @@ def select_material_class(
     if len(classes) == 1 or len(dataset.train) < MIN_HOLD_BACK_VIEWS:
         return classes[0]
     fits = {m.name: prepare_trial(dataset, settings, gaussians, m, crop) for m in classes}
-    score, given_up = run_trials(fits, "materials", settings, progress)
+    progress.phase("materials", settings.first.trial_iterations)
+    score, given_up = run_trials(fits, settings, progress)
     report_trials(settings, given_up, progress)
     turns = light_rotations(dataset.train) is not None
     margins = _margins(settings.first.trial_margin, turns)

@@ -86,7 +86,8 @@ def _trial(
     """Return the PSNR in dB of a trial fit from each start on held-back views."""
     prepare = prepare_finer_trial if dataset.has_alpha else prepare_trial
     fits = {key: prepare(dataset, settings, start, material_class, crop) for key, start in starts.items()}
-    score, given_up = run_trials(fits, "start", settings, progress)
+    progress.phase("start", settings.first.trial_iterations)
+    score, given_up = run_trials(fits, settings, progress)
     if given_up or not dataset.has_alpha:  # with masks, the trial fits of the classes have been reported
         report_trials(settings, given_up, progress)
     return score

@@ -59,12 +59,11 @@ def prepare_finer_trial(dataset: Dataset, settings: Settings, gaussians: Gaussia
     return prepare_trial(dataset, replace(settings, first=first), gaussians, material_class, crop)
 
 
-def run_trials(fits: Mapping[str, Trainer], phase: str, settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
+def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
     """Run all trial fits in turns.
 
     Args:
         fits: by the name of what is tried.
-        phase: its name, for the progress.
         settings: settings of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
         progress: receives steps and previews, and may cancel.
 
@@ -76,7 +75,6 @@ def run_trials(fits: Mapping[str, Trainer], phase: str, settings: Settings, prog
         Cancelled: the user stopped the work.
     """
     iterations = settings.first.trial_iterations
-    progress.phase(phase, iterations)
     may_give_up = settings.skip.trials != "off"
     checks = {max(1, int(fraction * iterations)): behind for fraction, behind in GIVE_UP_LIMITS} if may_give_up else {}
     score, running, given_up = dict.fromkeys(fits, 0.0), list(fits), []
