@@ -67,6 +67,7 @@ class FirstStageSettings:
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
+    metal_regions: Choice = "auto"  # parts where stereo finds layers start as metal; auto: where trial fits are better so
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
@@ -205,6 +206,7 @@ PRESETS: dict[str, Settings] = {
             gaussians_per_pixel=0.0,
             subpixels=1,
             anchor_weight=0.0,
+            metal_regions="off",
             open_edges=0.0,
         ),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting

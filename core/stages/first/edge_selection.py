@@ -50,7 +50,7 @@ def select_open_edges(
     longer = replace(first, trial_iterations=SCHEDULE_FACTOR * first.trial_iterations)
     parts = {CLOSED: 0.0, OPEN: OPEN_EDGES}
     tried = {name: replace(settings, first=replace(longer, open_edges=part)) for name, part in parts.items()}
-    fits = {name: prepare_finer_trial(dataset, one, start.gaussians, material_class, crop) for name, one in tried.items()}
+    fits = {name: prepare_finer_trial(dataset, one, start.gaussians, material_class, crop, start.metal) for name, one in tried.items()}
     progress.phase("edges", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
     if given_up:

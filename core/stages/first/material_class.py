@@ -5,6 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+import torch
+
+from ...scene.gaussians import Gaussians
 from ..common.optimizer import Rate
 
 GEOMETRY_RATES = ("position", "quaternion", "log_scale")  # parameters that move, turn and scale the surfels
@@ -69,3 +72,17 @@ def with_geometry_rates(material_class: MaterialClass, other: MaterialClass) -> 
         other: supplies the three rates.
     """
     return replace(material_class, position=other.position, quaternion=other.quaternion, log_scale=other.log_scale)
+
+
+def initial_materials(gaussians: Gaussians, material_class: MaterialClass, metal: torch.Tensor | None) -> torch.Tensor:
+    """Return the logits (5, N) of the materials that surfels start with.
+
+    Args:
+        gaussians: N surfels.
+        material_class: their class.
+        metal: (N,) bool, surfels that start with the materials of METAL instead; None for none.
+    """
+    materials = gaussians.position.new_tensor(material_class.material)[:, None].repeat(1, gaussians.count)
+    if metal is not None:
+        materials[:, metal] = materials.new_tensor(METAL.material)[:, None]
+    return torch.logit(materials)

@@ -5,6 +5,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
+
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
@@ -24,10 +26,12 @@ class Start:
     Attributes:
         gaussians: initial values.
         anchors: stereo's depths, where the surfels start on stereo's points and masks tell the object from its surroundings.
+        metal: (N,) bool, surfels that start as metal; None for none.
     """
 
     gaussians: Gaussians
     anchors: DepthAnchors | None = None
+    metal: torch.Tensor | None = None
 
 
 def select_start(

@@ -22,6 +22,7 @@ from .initial_light_albedo import estimate_light_albedo
 from .initialization import initial_gaussians
 from .material_class import MaterialClass
 from .material_class_selection import material_class_named, select_material_class
+from .metal_selection import select_metal
 from .start_selection import Start, select_start
 from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS
@@ -87,6 +88,7 @@ def train(
         progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
         material_class = select_material_class(dataset, settings, gaussians, progress, crop)
         start = select_start(dataset, settings, gaussians, material_class, progress, crop)
+        start = select_metal(dataset, settings, start, material_class, progress, crop)
         settings = replace(settings, first=select_open_edges(dataset, settings, start, material_class, progress, crop))
     # A deadline tells the length of the schedule.
     schedule = scaled_iterations(1.0 if deadline is not None else material_class.schedule, settings.first.iterations)
@@ -117,6 +119,7 @@ def _trainer(
         crop=crop,
         resident=resident,
         anchors=start.anchors,
+        metal=start.metal,
     )
 
 

@@ -31,7 +31,7 @@ from ..common.view_order import next_view
 from .checkpoint_state import invalid_checkpoint, state_fits
 from .densification import DensityControl, reset_opacity
 from .depth_anchors import DepthAnchors
-from .material_class import GEOMETRY_RATES, MaterialClass
+from .material_class import GEOMETRY_RATES, MaterialClass, initial_materials
 from .schedule import anchors_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
@@ -72,6 +72,7 @@ class Trainer:
         crop: bool = False,
         resident: bool = True,
         anchors: DepthAnchors | None = None,
+        metal: torch.Tensor | None = None,
     ) -> None:
         """Prepare the images and the optimiser.
 
@@ -86,6 +87,7 @@ class Trainer:
             crop: crop the images, see `make_training_view`.
             resident: keep the images on the Gaussians' device; otherwise each is copied there for its step.
             anchors: stereo's depths, of which some are chosen in the course of the schedule; None for none.
+            metal: (N,) bool, surfels that start with the materials of METAL instead; None for none.
         """
         self.anchors = anchors
         self.dataset, self.settings, self.material_class = dataset, settings, material_class
@@ -103,9 +105,7 @@ class Trainer:
         if not self.masked:
             others["background"] = self.background.requires_grad_()
             table["background"] = Rate(3e-2, 0.2)
-        material = torch.logit(gaussians.position.new_tensor(material_class.material))
-        gaussians = replace(gaussians, material=material[:, None].repeat(1, gaussians.count))
-        self.optimizer = GaussianOptimizer(gaussians, table, others)
+        self.optimizer = GaussianOptimizer(replace(gaussians, material=initial_materials(gaussians, material_class, metal)), table, others)
         self._rates, self._configured_iterations, self._initial_count = table, settings.iterations, gaussians.count
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan

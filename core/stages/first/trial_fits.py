@@ -30,7 +30,14 @@ LIGHT_HEIGHT = 32  # rows of the light map; the small images of a trial fit reso
 GIVE_UP_LIMITS = ((0.3, 4.0), (0.6, 2.0))  # (fraction of a trial fit done, dB behind the best from which a fit is abandoned)
 
 
-def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
+def prepare_trial(
+    dataset: Dataset,
+    settings: Settings,
+    gaussians: Gaussians,
+    material_class: MaterialClass,
+    crop: bool,
+    metal: torch.Tensor | None = None,
+) -> Trainer:
     """Prepare a trial fit: a trainer of few surfels on small images, with one ray per pixel.
 
     Four rays take 1.3 times as long for the class and twice as long for the start, and decided alike on twelve and seven objects.
@@ -42,21 +49,31 @@ def prepare_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, ma
         material_class: initial materials and learning rates; the geometry rates are those of GLOSSY for all, so that the fits differ in
             what is tried alone.
         crop: crop the images to the object.
+        metal: (N,) bool, surfels that start as metal; None for none.
     """
     brief, camera = settings.first, dataset.train[0].camera
     few = subsample(gaussians, brief.trial_gaussians, settings.seed)
+    if metal is not None:
+        metal = metal[chosen_surfels(gaussians.count, brief.trial_gaussians, settings.seed)]
     light_height = min(LIGHT_HEIGHT, brief.light_height)
     brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=1.0)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
     rated = with_geometry_rates(material_class, GLOSSY)
-    return Trainer(dataset, brief, few, rated, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop)
+    return Trainer(dataset, brief, few, rated, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop, metal=metal)
 
 
-def prepare_finer_trial(dataset: Dataset, settings: Settings, gaussians: Gaussians, material_class: MaterialClass, crop: bool) -> Trainer:
+def prepare_finer_trial(
+    dataset: Dataset,
+    settings: Settings,
+    gaussians: Gaussians,
+    material_class: MaterialClass,
+    crop: bool,
+    metal: torch.Tensor | None = None,
+) -> Trainer:
     """Prepare a trial fit of more surfels on larger images; arguments as of `prepare_trial`."""
     surfels = int(FINER_SURFELS * settings.first.trial_gaussians)
     first = replace(settings.first, trial_gaussians=surfels, trial_resolution=FINER_RESOLUTION * settings.first.trial_resolution)
-    return prepare_trial(dataset, replace(settings, first=first), gaussians, material_class, crop)
+    return prepare_trial(dataset, replace(settings, first=first), gaussians, material_class, crop, metal)
 
 
 def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
@@ -117,7 +134,17 @@ def subsample(gaussians: Gaussians, count: int, seed: int) -> Gaussians:
         count: most surfels to keep.
         seed: seed of the random selection.
     """
-    index = torch.randperm(gaussians.count, generator=torch.Generator().manual_seed(seed))[:count]
-    few = gaussians.select(index.sort().values)
+    few = gaussians.select(chosen_surfels(gaussians.count, count, seed))
     few.log_scale += 0.5 * math.log(gaussians.count / few.count)
     return few
+
+
+def chosen_surfels(total: int, count: int, seed: int) -> torch.Tensor:
+    """Return the indices, ascending, of the surfels that `subsample` selects.
+
+    Args:
+        total: number of surfels to select from.
+        count: most surfels to keep.
+        seed: seed of the random selection.
+    """
+    return torch.randperm(total, generator=torch.Generator().manual_seed(seed))[:count].sort().values

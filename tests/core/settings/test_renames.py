@@ -67,6 +67,7 @@ ADDED = {
     "first.subpixels",
     "first.anchor_weight",
     "first.open_edges",
+    "first.metal_regions",
     "first.single_rays",
     "first.stereo",
     "first.stereo_margin",

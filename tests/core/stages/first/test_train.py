@@ -4,7 +4,6 @@
 import math
 import time
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -12,7 +11,6 @@ import torch
 from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.camera import Camera
-from irgspp.core.scene.dataset import Bound, Dataset, View
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings, preset
 from irgspp.core.stages.common.training_view import border_radiance, make_training_view
@@ -23,30 +21,13 @@ from irgspp.core.stages.first.material_class_selection import select_material_cl
 from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer
 from irgspp.core.stages.first.trial_fits import subsample
+from mirror_sphere import mirror_photographs
 
 SMALL = ("first.iterations=12", "first.gaussians=400", "first.light_height=16", "first.stereo=off", "first.open_edges=0")
-BOUND = Bound((0.0, 0.0, 0.0), 1.5)
 
 
 def settings(*overrides: str) -> Settings:
     return with_overrides(preset("draft"), [*SMALL, *overrides])
-
-
-def mirror_photographs(cameras, masks) -> Dataset:
-    """Render a chrome sphere under hard stripes of light, which reflections explain and no smooth function of the view direction does."""
-    views = []
-    for camera, mask in zip(cameras, masks, strict=True):
-        rays = camera.rays().astype(np.float64)
-        rays /= np.linalg.norm(rays, axis=-1, keepdims=True)
-        b = rays @ camera.centre
-        t = -b - np.sqrt(np.maximum(b * b - camera.centre @ camera.centre + 1, 0))
-        normal = camera.centre + t[..., None] * rays
-        normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-        mirrored = rays - 2 * (rays * normal).sum(-1, keepdims=True) * normal
-        bright = np.sin(5 * np.arctan2(mirrored[..., 1], mirrored[..., 0])) > 0
-        colour = np.where(bright[..., None], [0.9, 0.8, 0.6], [0.25, 0.2, 0.15]).astype(np.float32)
-        views.append(View(f"{len(views)}", camera, Path("a.png"), colour, mask))
-    return Dataset(Path("mirror"), "transforms", views, [], BOUND, np.eye(4))
 
 
 class StopAfter(Silent):
@@ -95,6 +76,21 @@ def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, c
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     assert torch.equal(whole.gaussians.position, resumed.gaussians.position)
     assert not torch.equal(whole.gaussians.position, closed.gaussians.position)
+
+
+def test_stopped_fit_goes_on_with_the_metal_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
+    dataset, chosen, memory = sphere_dataset(camera_ring(9, 32)), settings("materials=glossy"), Memory()
+    left = lambda dataset, settings, start, *_: replace(start, metal=start.gaussians.position[0] < 0)  # noqa: E731
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *_: GLOSSY)
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_metal", left)
+    whole, _ = train(dataset, chosen)
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(5), memory)
+    monkeypatch.undo()  # a continued fit makes no trial
+    resumed, _ = train(dataset, chosen, checkpoint=memory)
+    assert torch.equal(whole.gaussians.material, resumed.gaussians.material)
+    metallic = whole.gaussians.materials()[4]
+    assert metallic[whole.gaussians.position[0] < -0.1].min() > 0.5 > metallic[whole.gaussians.position[0] > 0.1].max()
 
 
 @pytest.mark.parametrize("material_class", [GLOSSY, METAL])
