@@ -98,7 +98,7 @@ def _trial(
     both = replace(settings, first=replace(settings.first, open_edges=0.0), skip=replace(settings.skip, trials="off"))
     without = prepare_finer_trial(dataset, both, start.gaussians, material_class, crop)
     with_metal = prepare_finer_trial(dataset, both, start.gaussians, material_class, crop, metal)
-    progress.phase("metal regions", settings.first.trial_iterations)
+    progress.phase("metal", settings.first.trial_iterations)
     run_trials({"as its class": without, "as metal": with_metal}, both, progress)
     pairs = zip(_region_errors(without, without, points, regions), _region_errors(with_metal, without, points, regions), strict=True)
     return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in pairs]

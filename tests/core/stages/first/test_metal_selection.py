@@ -107,7 +107,7 @@ def test_trial_fits_differ_in_the_metal_alone(scene, halves, monkeypatch):
     monkeypatch.setattr(metal_selection, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
     settings = with_overrides(SETTINGS, ["first.open_edges=0.5"])
     select_metal(scene[0], settings, scene[1], GLOSSY, progress)
-    assert progress.phases == [("metal regions", 4)]
+    assert progress.phases == [("metal", 4)]
     assert [fit.done for fit in fits.values()] == [4, 4]  # to the end, both with closed edges
     assert [fit.settings.open_edges for fit in fits.values()] == [0.0, 0.0]
     without, with_metal = (float(fit.optimizer.gaussians.materials()[4].mean().detach()) for fit in fits.values())
