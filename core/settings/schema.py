@@ -67,7 +67,7 @@ class FirstStageSettings:
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
-    metal_regions: Choice = "auto"  # parts where stereo finds layers start as metal; auto: where trial fits are better so
+    metal_regions: Choice = "auto"  # regions of several layers of points start as metal; auto: by trial fits
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask

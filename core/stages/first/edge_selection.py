@@ -10,7 +10,7 @@ from ...scene.dataset import Dataset
 from ...settings.schema import FirstStageSettings, Settings
 from .material_class import METAL, MaterialClass
 from .start_selection import Start
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, report_trials, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials, with_finer_trials
 
 OPEN_EDGES = 0.6  # first part of the schedule in which edges are open, where they are
 # Length of the trial fits' schedule in lengths of a trial. They end in the middle of it, where open edges are still open.
@@ -47,10 +47,11 @@ def select_open_edges(
         part = first.open_edges or 0.0
         progress.decided("open_edges", part > 0, reason)
         return replace(first, open_edges=part)
-    longer = replace(first, trial_iterations=SCHEDULE_FACTOR * first.trial_iterations)
+    finer = with_finer_trials(settings)
+    longer = replace(finer.first, trial_iterations=SCHEDULE_FACTOR * first.trial_iterations)
     parts = {CLOSED: 0.0, OPEN: OPEN_EDGES}
-    tried = {name: replace(settings, first=replace(longer, open_edges=part)) for name, part in parts.items()}
-    fits = {name: prepare_finer_trial(dataset, one, start.gaussians, material_class, crop, start.metal) for name, one in tried.items()}
+    tried = {name: replace(finer, first=replace(longer, open_edges=part)) for name, part in parts.items()}
+    fits = {name: prepare_trial(dataset, one, start.gaussians, material_class, crop, start.metal) for name, one in tried.items()}
     progress.phase("edges", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
     if given_up:

@@ -62,7 +62,7 @@ def _behind(tree: KDTree, points: np.ndarray, normals: np.ndarray, spacing: floa
     hidden = np.zeros(len(points), bool)
     for ahead in np.arange(NEAREST + 1, max(reach / spacing, NEAREST + 2)) * spacing:
         _, other = tree.query(points + ahead * normals, distance_upper_bound=WIDTH * spacing, workers=-1)
-        other = np.where(other < len(points), other, 0)
+        other = np.where(other < len(points), other, 0)  # none is near: any point, which is tested as all are
         offset = points[other] - points
         height = np.einsum("nc,nc->n", offset, normals)
         beside = np.linalg.norm(offset - height[:, None] * normals, axis=1)

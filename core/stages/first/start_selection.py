@@ -14,7 +14,7 @@ from ...settings.schema import Settings
 from .depth_anchors import DepthAnchors
 from .material_class import METAL, MaterialClass
 from .stereo_initialization import StereoStart, from_stereo
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_finer_trial, prepare_trial, report_trials, run_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials, with_finer_trials
 
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
@@ -88,8 +88,8 @@ def _trial(
     dataset: Dataset, settings: Settings, starts: dict[str, Gaussians], material_class: MaterialClass, progress: Progress, crop: bool
 ) -> dict[str, float]:
     """Return the PSNR in dB of a trial fit from each start on held-back views."""
-    prepare = prepare_finer_trial if dataset.has_alpha else prepare_trial
-    fits = {key: prepare(dataset, settings, start, material_class, crop) for key, start in starts.items()}
+    sized = with_finer_trials(settings) if dataset.has_alpha else settings
+    fits = {key: prepare_trial(dataset, sized, start, material_class, crop) for key, start in starts.items()}
     progress.phase("start", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
     if given_up or not dataset.has_alpha:  # with masks, the trial fits of the classes have been reported

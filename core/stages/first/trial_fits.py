@@ -62,18 +62,11 @@ def prepare_trial(
     return Trainer(dataset, brief, few, rated, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop, metal=metal)
 
 
-def prepare_finer_trial(
-    dataset: Dataset,
-    settings: Settings,
-    gaussians: Gaussians,
-    material_class: MaterialClass,
-    crop: bool,
-    metal: torch.Tensor | None = None,
-) -> Trainer:
-    """Prepare a trial fit of more surfels on larger images; arguments as of `prepare_trial`."""
-    surfels = int(FINER_SURFELS * settings.first.trial_gaussians)
-    first = replace(settings.first, trial_gaussians=surfels, trial_resolution=FINER_RESOLUTION * settings.first.trial_resolution)
-    return prepare_trial(dataset, replace(settings, first=first), gaussians, material_class, crop, metal)
+def with_finer_trials(settings: Settings) -> Settings:
+    """Return settings whose trial fits have more surfels and larger images."""
+    first = settings.first
+    surfels, resolution = int(FINER_SURFELS * first.trial_gaussians), FINER_RESOLUTION * first.trial_resolution
+    return replace(settings, first=replace(first, trial_gaussians=surfels, trial_resolution=resolution))
 
 
 def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import edge_selection
@@ -13,21 +12,9 @@ from irgspp.core.stages.first.edge_selection import CLOSED, OPEN, OPEN_EDGES, se
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, METAL
 from irgspp.core.stages.first.start_selection import Start
+from recorded_decisions import RecordedDecisions
 
 SETTINGS = replace(preset("draft"), first=replace(preset("draft").first, open_edges=None))
-
-
-class Decisions(Silent):
-    """Progress that keeps the decisions and the phases."""
-
-    def __init__(self):
-        self.found, self.phases = {}, []
-
-    def decided(self, rule, on, evidence):
-        self.found[rule] = on, evidence
-
-    def phase(self, name, steps):
-        self.phases.append(name)
 
 
 @pytest.fixture
@@ -50,7 +37,7 @@ def test_held_back_views_decide(scene, monkeypatch, gain, part):
         return {CLOSED: 30.0, OPEN: 30.0 + gain}, []
 
     monkeypatch.setattr(edge_selection, "run_trials", run)
-    progress = Decisions()
+    progress = RecordedDecisions()
     first = select_open_edges(scene[0], SETTINGS, scene[1], GLOSSY, progress)
     assert first == replace(SETTINGS.first, open_edges=part)
     assert parts == {CLOSED: 0.0, OPEN: OPEN_EDGES}
@@ -59,7 +46,7 @@ def test_held_back_views_decide(scene, monkeypatch, gain, part):
 
 @pytest.mark.parametrize("part", [0.0, 0.25])
 def test_a_number_decides_without_a_trial(scene, no_trials, part):
-    progress = Decisions()
+    progress = RecordedDecisions()
     settings = with_overrides(SETTINGS, [f"first.open_edges={part}"])
     assert select_open_edges(scene[0], settings, scene[1], GLOSSY, progress).open_edges == part
     assert progress.found == {"open_edges": (part > 0, "as set")}
@@ -67,7 +54,7 @@ def test_a_number_decides_without_a_trial(scene, no_trials, part):
 
 @pytest.mark.parametrize(("views", "masked", "material_class"), [(12, True, METAL), (12, False, GLOSSY), (7, True, GLOSSY)])
 def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, no_trials, views, masked, material_class):
-    dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), Decisions()
+    dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
     assert select_open_edges(dataset, SETTINGS, start, material_class, progress).open_edges == 0
     on, evidence = progress.found["open_edges"]
@@ -76,10 +63,10 @@ def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, 
 
 
 def test_trial_fits_are_finer_than_those_of_the_classes(scene):
-    progress = Decisions()
+    progress = RecordedDecisions()
     settings = with_overrides(SETTINGS, ["first.trial_iterations=2", "first.trial_gaussians=20", "first.trial_resolution=16"])
     sizes, fits = [], []
-    prepare = edge_selection.prepare_finer_trial
+    prepare = edge_selection.prepare_trial
 
     def prepared(*arguments):
         fit = prepare(*arguments)
@@ -88,8 +75,8 @@ def test_trial_fits_are_finer_than_those_of_the_classes(scene):
         return fit
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(edge_selection, "prepare_finer_trial", prepared)
+        patch.setattr(edge_selection, "prepare_trial", prepared)
         select_open_edges(scene[0], settings, scene[1], GLOSSY, progress)
     assert sizes == [(50, 32, 4)] * 2
     assert [(fit.done, fit.settings.single_rays) for fit in fits] == [(2, 1.0)] * 2  # edges are open to the end of such a trial
-    assert progress.phases == ["edges"]
+    assert progress.phases == [("edges", 2)]

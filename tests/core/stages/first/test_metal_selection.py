@@ -17,21 +17,9 @@ from irgspp.core.stages.first.metal_selection import select_metal
 from irgspp.core.stages.first.start_selection import Start
 from irgspp.core.stages.first.trial_fits import prepare_trial
 from mirror_sphere import mirror_photographs
+from recorded_decisions import RecordedDecisions
 
 SETTINGS = with_overrides(preset("draft"), ["first.trial_iterations=4", "first.trial_gaussians=60", "first.trial_resolution=16"])
-
-
-class Decisions(Silent):
-    """Progress that keeps the decisions and the phases."""
-
-    def __init__(self):
-        self.found, self.phases = {}, []
-
-    def decided(self, rule, on, evidence):
-        self.found[rule] = on, evidence
-
-    def phase(self, name, steps):
-        self.phases.append((name, steps))
 
 
 @pytest.fixture
@@ -56,7 +44,7 @@ def no_trials(monkeypatch):
 @pytest.mark.parametrize(("gains", "chosen"), [((1.3, 1.1), [0]), ((1.1, 1.3), [1]), ((2.0, 1.3), [0, 1]), ((1.2, 0.1), [])])
 def test_held_back_views_decide_on_each_region(scene, halves, monkeypatch, gains, chosen):
     monkeypatch.setattr(metal_selection, "_trial", lambda *_: list(gains))
-    progress = Decisions()
+    progress = RecordedDecisions()
     start = select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress)
     on, evidence = progress.found["metal_regions"]
     assert on == bool(chosen)
@@ -70,7 +58,7 @@ def test_held_back_views_decide_on_each_region(scene, halves, monkeypatch, gains
 
 
 def test_all_regions_are_metal_as_set_without_a_trial(scene, halves, no_trials):
-    progress = Decisions()
+    progress = RecordedDecisions()
     assert select_metal(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), scene[1], GLOSSY, progress).metal.all()
     assert progress.found == {"metal_regions": (True, "2 regions whose points lie in several layers, as set")}
 
@@ -86,7 +74,7 @@ def test_all_regions_are_metal_as_set_without_a_trial(scene, halves, no_trials):
     ],
 )
 def test_nothing_is_metal_where_no_trial_can_tell(sphere_dataset, camera_ring, halves, no_trials, views, masked, material_class, choice):
-    dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), Decisions()
+    dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
     settings = with_overrides(SETTINGS, [f"first.metal_regions={choice}"])
     assert select_metal(dataset, settings, start, material_class, progress) is start
@@ -96,13 +84,13 @@ def test_nothing_is_metal_where_no_trial_can_tell(sphere_dataset, camera_ring, h
 
 
 def test_no_trial_without_layers(scene, no_trials):
-    progress = Decisions()
+    progress = RecordedDecisions()
     assert select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress) is scene[1]
     assert progress.found == {"metal_regions": (False, "nowhere do the start's points lie in several layers")}
 
 
 def test_trial_fits_differ_in_the_metal_alone(scene, halves, monkeypatch):
-    fits, progress = {}, Decisions()
+    fits, progress = {}, RecordedDecisions()
     run = metal_selection.run_trials
     monkeypatch.setattr(metal_selection, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
     settings = with_overrides(SETTINGS, ["first.open_edges=0.5"])
@@ -110,6 +98,7 @@ def test_trial_fits_differ_in_the_metal_alone(scene, halves, monkeypatch):
     assert progress.phases == [("metal", 4)]
     assert [fit.done for fit in fits.values()] == [4, 4]  # to the end, both with closed edges
     assert [fit.settings.open_edges for fit in fits.values()] == [0.0, 0.0]
+    assert [fit.optimizer.gaussians.count for fit in fits.values()] == [150, 150]  # finer than the trial fits of the classes
     without, with_metal = (float(fit.optimizer.gaussians.materials()[4].mean().detach()) for fit in fits.values())
     assert without < 0.4
     assert with_metal > 0.8
@@ -129,18 +118,18 @@ def test_chrome_is_metal_and_paint_is_not(sphere_dataset, camera_ring, monkeypat
     assert select_metal(painted, settings, start, GLOSSY, Silent()).metal is None
 
 
-def test_a_region_that_no_view_shows_is_not_compared(scene, monkeypatch):
+def test_a_region_that_hardly_a_pixel_shows_is_not_compared(scene, monkeypatch):
     nothing = np.zeros(200, bool)
     one = nothing.copy()
     one[0] = True
     monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [one])
-    progress = Decisions()
+    progress = RecordedDecisions()
     assert select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress).metal is None
     assert progress.found["metal_regions"][1].endswith("held-back views: +0.0 dB")
 
 
 def test_a_trial_can_be_cancelled(scene, halves):
-    progress = Decisions()
+    progress = RecordedDecisions()
     progress.cancelled = True
     with pytest.raises(Cancelled):
         select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress)

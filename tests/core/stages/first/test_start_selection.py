@@ -4,25 +4,15 @@
 import numpy as np
 import pytest
 import torch
-from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import start_selection
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS
 from irgspp.core.stages.first.stereo_initialization import StereoStart
+from recorded_decisions import RecordedDecisions
 
 SETTINGS = with_overrides(preset("draft"), ["first.anchor_weight=0"])  # the starts have no depth maps
-
-
-class Decisions(Silent):
-    """Progress that keeps the decisions."""
-
-    def __init__(self):
-        self.found = {}
-
-    def decided(self, rule, on, evidence):
-        self.found[rule] = on, evidence
 
 
 @pytest.fixture
@@ -44,7 +34,7 @@ def psnr(scene, monkeypatch):
 @pytest.mark.parametrize(("given", "size"), [({"one": 30.1, "other": 30.0}, 1), ({"one": 30.1, "other": 30.2}, 2), ({}, 1)])
 def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
     psnr |= given
-    progress = Decisions()
+    progress = RecordedDecisions()
     assert start_selection.select_start(scene[0], SETTINGS, scene[1], LOW_GLOSS, progress).gaussians.count == size
     on, evidence = progress.found["stereo"]
     assert on
@@ -53,7 +43,7 @@ def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
 
 
 def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
-    progress = Decisions()
+    progress = RecordedDecisions()
     settings = with_overrides(SETTINGS, ["first.stereo=on"])
     assert start_selection.select_start(scene[0], settings, scene[1], LOW_GLOSS, progress).gaussians.count == 2
     assert progress.found["stereo"] == (True, "as set")
@@ -63,7 +53,7 @@ def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, 
     fits = {}
     monkeypatch.setattr(start_selection, "run_trials", lambda given, *_: (fits.update(given), ({}, []))[1])
     settings = with_overrides(SETTINGS, ["first.trial_gaussians=20", "first.trial_resolution=16"])
-    progress = Decisions()
+    progress = RecordedDecisions()
     start_selection._trial(scene[0], settings, {"one": scene[1]}, LOW_GLOSS, progress, False)
     assert not progress.found  # the report of the classes' trials stays
     fit = fits["one"]
@@ -72,11 +62,12 @@ def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, 
 
 @pytest.mark.parametrize(("masked", "given_up"), [(False, []), (True, ["one after 75 of 250 steps"])])
 def test_trial_fits_of_starts_are_reported(sphere_dataset, camera_ring, scene, monkeypatch, masked, given_up):
-    dataset, progress = sphere_dataset(camera_ring(12, 32), masked=masked), Decisions()
-    prepare = "prepare_finer_trial" if masked else "prepare_trial"
-    monkeypatch.setattr(start_selection, prepare, lambda *_: None)
+    dataset, progress = sphere_dataset(camera_ring(12, 32), masked=masked), RecordedDecisions()
+    sizes = []
+    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *_: sizes.append(settings.first.trial_resolution))
     monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({"one": 30.0}, given_up))
     assert start_selection._trial(dataset, SETTINGS, {"one": scene[1]}, LOW_GLOSS, progress, False) == {"one": 30.0}
+    assert sizes == [SETTINGS.first.trial_resolution * (2 if masked else 1)]
     on, evidence = progress.found["trials"]
     assert on == bool(given_up)
     assert "75 of 250" in evidence or not given_up

@@ -50,13 +50,19 @@ class Memory(dict):
         return self.get(name)
 
 
+def stopped(dataset, chosen) -> Memory:
+    """The checkpoint of a fit that was cancelled after five steps."""
+    memory = Memory()
+    with pytest.raises(Cancelled):
+        train(dataset, chosen, StopAfter(5), memory)
+    return memory
+
+
 @pytest.mark.parametrize(("materials", "masked"), [("low-gloss", True), ("low-gloss", False)])
 def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, materials, masked):
     dataset, chosen = sphere_dataset(camera_ring(9, 32), masked=masked), settings(f"materials={materials}")
     whole, _ = train(dataset, chosen)
-    memory = Memory()
-    with pytest.raises(Cancelled):
-        train(dataset, chosen, StopAfter(5), memory)
+    memory = stopped(dataset, chosen)
     assert memory["first_stage"]["done"] == 5
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     for name, value in whole.gaussians.tensors().items():
@@ -65,13 +71,12 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
 
 
 def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
-    dataset, chosen, memory = sphere_dataset(camera_ring(9, 32)), settings("materials=low-gloss"), Memory()
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings("materials=low-gloss")
     opened = replace(chosen.first, open_edges=0.9)
     closed, _ = train(dataset, chosen)
     monkeypatch.setattr("irgspp.core.stages.first.train.select_open_edges", lambda *_: opened)
     whole, _ = train(dataset, chosen)
-    with pytest.raises(Cancelled):
-        train(dataset, chosen, StopAfter(5), memory)
+    memory = stopped(dataset, chosen)
     monkeypatch.undo()  # a continued fit makes no trial
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     assert torch.equal(whole.gaussians.position, resumed.gaussians.position)
@@ -79,13 +84,12 @@ def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, c
 
 
 def test_stopped_fit_goes_on_with_the_metal_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
-    dataset, chosen, memory = sphere_dataset(camera_ring(9, 32)), settings("materials=glossy"), Memory()
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings("materials=glossy")
     left = lambda dataset, settings, start, *_: replace(start, metal=start.gaussians.position[0] < 0)  # noqa: E731
     monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *_: GLOSSY)
     monkeypatch.setattr("irgspp.core.stages.first.train.select_metal", left)
     whole, _ = train(dataset, chosen)
-    with pytest.raises(Cancelled):
-        train(dataset, chosen, StopAfter(5), memory)
+    memory = stopped(dataset, chosen)
     monkeypatch.undo()  # a continued fit makes no trial
     resumed, _ = train(dataset, chosen, checkpoint=memory)
     assert torch.equal(whole.gaussians.material, resumed.gaussians.material)
