@@ -17,11 +17,12 @@ class _Shade(torch.autograd.Function):
     """Autograd function of the CPU (numba) backend; ranges of pixels are balanced by how many of them reflect."""
 
     @staticmethod
-    def forward(ctx, image, stack, rays, rotation, tables, thresholds):
-        x, light, lines = (t.detach().contiguous().numpy() for t in (image.flatten(1), stack, rays.flatten(1)))
+    def forward(ctx, image, stack, rays, rotation, mirrored, tables, thresholds):
+        tensors = (image.flatten(1), stack, rays.flatten(1), mirrored.flatten(1))
+        x, light, lines, met = (t.detach().contiguous().numpy() for t in tensors)
         out, place = torch.empty(3, *image.shape[1:]), np.empty((2, x.shape[1]), np.float32)
         ranges = balanced_ranges(1 + 9 * (x[-1] > thresholds[0]), thread_count())
-        arguments = (x, lines, rotation.numpy(), light, *(t.numpy() for t in tables), *thresholds, place)
+        arguments = (x, lines, rotation.numpy(), light, met, *(t.numpy() for t in tables), *thresholds, place)
         run_ranges(shade_range, ranges, *arguments, out.view(3, -1).numpy())
         ctx.arguments, ctx.ranges = arguments, ranges
         return out
@@ -35,7 +36,7 @@ class _Shade(torch.autograd.Function):
         run_ranges(shade_backward_range, ctx.ranges, *ctx.arguments, *flat, slots, numbered=True)
         for other in slots[1:]:
             slots[0] += other
-        return gradient, torch.from_numpy(slots[0]) if len(slots) else None, None, None, None, None
+        return gradient, torch.from_numpy(slots[0]) if len(slots) else None, None, None, None, None, None
 
 
 def shade_pixels(
@@ -45,6 +46,7 @@ def shade_pixels(
     rotation: torch.Tensor | None,
     tables: tuple[torch.Tensor, torch.Tensor],
     thresholds: tuple[float, float],
+    mirrored: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Divide the sums of `rasterize` by opacity and add the split-sum reflection of the light, (1 - m) C_sh + S.
 
@@ -55,16 +57,19 @@ def shade_pixels(
         rotation: (3, 3) world to the frame of the light, None where it stands still; without a gradient.
         tables: roughness of each level (L,), and scale and bias of F0 in the specular albedo (T, T, 2), on the image's device.
         thresholds: opacity above which a pixel reflects, and the smallest opacity that sums are divided by.
+        mirrored: (4, H, W) transmittance along the mirrored direction and radiance of what blocks it, without a gradient; None: nothing
+            does.
 
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
     turn = _identity(image.device) if rotation is None else rotation.contiguous()
+    met = image.new_empty(4, 0, 0) if mirrored is None else mirrored
     if not by_warp(image):
-        return _Shade.apply(image, stack, rays, turn, tables, thresholds)
+        return _Shade.apply(image, stack, rays, turn, met, tables, thresholds)
     from .warp.split_sum import Shade  # Warp is an optional dependency
 
-    return Shade.apply(image, stack, rays, turn, tables, thresholds)
+    return Shade.apply(image, stack, rays, turn, met, tables, thresholds)
 
 
 @cache

@@ -76,9 +76,11 @@ def _tables(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     return level_roughness().to(device), brdf_table().to(device)
 
 
-def _shaded(image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None) -> torch.Tensor:
+def _shaded(
+    image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None, mirrored: torch.Tensor | None = None
+) -> torch.Tensor:
     """Return the radiance (3, H, W) that the kernels compute; without levels in the stack nothing reflects."""
-    return shade_pixels(image, rays, stack, light_rotation, _tables(image.device), (REFLECTING, ALPHA_FLOOR))
+    return shade_pixels(image, rays, stack, light_rotation, _tables(image.device), (REFLECTING, ALPHA_FLOOR), mirrored)
 
 
 def splat_radiance(image: torch.Tensor) -> torch.Tensor:
@@ -87,28 +89,38 @@ def splat_radiance(image: torch.Tensor) -> torch.Tensor:
 
 
 def reflective_radiance(
-    image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None = None
+    image: torch.Tensor,
+    rays: torch.Tensor,
+    stack: torch.Tensor,
+    light_rotation: torch.Tensor | None = None,
+    mirrored: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Add the split-sum reflection of the light to the diffuse SH radiance: (1 - m) C_sh + S (Ref-Gaussian, in linear light).
 
-    Pixels of opacity up to REFLECTING keep their SH radiance.
+    With what mirrored rays meet, the light L in S is V L + L_ind. Pixels of opacity up to REFLECTING keep their SH radiance.
 
     Args:
         image: (13, H, W) sums of `rasterize`.
         rays: (3, H, W) world directions of any length.
         stack: (L, h, w, 3) prefiltered light of `specular_light`.
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
+        mirrored: (4, H, W) transmittance V along the mirrored direction and radiance L_ind of what blocks it, without a gradient; None:
+            nothing does.
 
     Returns:
         (3, H, W) linear radiance with straight alpha. The image and the stack have gradients.
     """
     if image.dtype == torch.float32:  # which the kernels compute in
-        return _shaded(image, rays, stack, light_rotation)
-    return reflective_radiance_reference(image, rays, stack, light_rotation)
+        return _shaded(image, rays, stack, light_rotation, mirrored)
+    return reflective_radiance_reference(image, rays, stack, light_rotation, mirrored)
 
 
 def reflective_radiance_reference(
-    image: torch.Tensor, rays: torch.Tensor, stack: torch.Tensor, light_rotation: torch.Tensor | None = None
+    image: torch.Tensor,
+    rays: torch.Tensor,
+    stack: torch.Tensor,
+    light_rotation: torch.Tensor | None = None,
+    mirrored: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Compute `reflective_radiance` in PyTorch operations, for any floating type and device: its reference implementation.
 
@@ -117,11 +129,13 @@ def reflective_radiance_reference(
         rays: (3, H, W) world directions of any length.
         stack: (L, h, w, 3) prefiltered light.
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
+        mirrored: (4, H, W) transmittance and radiance of what mirrored rays meet; None: nothing.
     """
     all_pixels = by_warp(image)
     p = surface_pixels(image, rays, all_pixels=all_pixels)
     view, normal = to_light_frame(p.view, light_rotation), to_light_frame(p.normal, light_rotation)
-    light = specular_radiance(view, normal, p.albedo, p.roughness, p.metallic, stack)
+    met = None if mirrored is None else mirrored.flatten(1)[:, p.index].T
+    light = specular_radiance(view, normal, p.albedo, p.roughness, p.metallic, stack, met)
     shaded = (1 - p.metallic[:, None]) * p.colour + light
     base = splat_radiance(image)
     if all_pixels:
@@ -130,7 +144,11 @@ def reflective_radiance_reference(
 
 
 def radiance(
-    image: torch.Tensor, rays: torch.Tensor, light: torch.Tensor | None, light_rotation: torch.Tensor | None = None
+    image: torch.Tensor,
+    rays: torch.Tensor,
+    light: torch.Tensor | None,
+    light_rotation: torch.Tensor | None = None,
+    mirrored: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Return the radiance of an image before compositing, with or without reflections.
 
@@ -139,12 +157,14 @@ def radiance(
         rays: (3, H, W) world directions of any length.
         light: (h, w, 3) linear lat-long map to reflect, or None: the SH hold the full radiance.
         light_rotation: (3, 3) world to the frame of the light, None where it stands still.
+        mirrored: (4, H, W) transmittance V along the mirrored direction and radiance L_ind of what blocks it, without a gradient; None:
+            nothing does.
 
     Returns:
         (3, H, W) linear radiance with straight alpha.
     """
     if light is not None:
-        return reflective_radiance(image, rays, specular_light(light), light_rotation)
+        return reflective_radiance(image, rays, specular_light(light), light_rotation, mirrored)
     return _shaded(image, rays, image.new_empty(0, 1, 1, 3), None) if image.dtype == torch.float32 else splat_radiance(image)
 
 

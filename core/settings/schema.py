@@ -70,6 +70,8 @@ class FirstStageSettings:
     metal_regions: Choice = "auto"  # regions of several layers of points start as metal; auto: by trial fits
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
+    # First part of the schedule, after which rays that reflections mirror are traced on the object itself; 1: never.
+    inter_reflections: Annotated[float, Range(0, 1)] = 1.0
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the environment map
@@ -208,6 +210,7 @@ PRESETS: dict[str, Settings] = {
             anchor_weight=0.0,
             metal_regions="off",
             open_edges=0.0,
+            inter_reflections=0.4,
         ),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting
         second=replace(

@@ -93,7 +93,13 @@ def reflect(view: torch.Tensor, normal: torch.Tensor) -> torch.Tensor:
 
 
 def specular_radiance(
-    view: torch.Tensor, normal: torch.Tensor, albedo: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, stack: torch.Tensor
+    view: torch.Tensor,
+    normal: torch.Tensor,
+    albedo: torch.Tensor,
+    roughness: torch.Tensor,
+    metallic: torch.Tensor,
+    stack: torch.Tensor,
+    mirrored: torch.Tensor | None = None,
 ) -> torch.Tensor:
     """Return the specular part of split-sum shading, (P, 3) linear radiance.
 
@@ -104,9 +110,12 @@ def specular_radiance(
         roughness: (P,) in 0..1.
         metallic: (P,) in 0..1.
         stack: (L, H, W, 3) of `specular_light`.
+        mirrored: (P, 4) transmittance along the mirrored direction and radiance of what blocks it; None: nothing does.
     """
     n_v = (view * normal).sum(-1).clamp(1e-3, 1)
     light = lookup(stack, reflect(view, normal), stack_level(roughness))
+    if mirrored is not None:
+        light = mirrored[:, :1] * light + mirrored[:, 1:]
     return light * specular_albedo(n_v, roughness, base_reflectance(albedo, metallic[:, None]))
 
 

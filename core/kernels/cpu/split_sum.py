@@ -82,10 +82,11 @@ def _albedo_terms(table, n_v, roughness):
 
 
 @kernel
-def shade_range(begin, end, image, rays, rotation, stack, knots, table, reflecting, floor, place, out):
+def shade_range(begin, end, image, rays, rotation, stack, mirrored, knots, table, reflecting, floor, place, out):
     """Write the radiance of pixels begin..end to `out` (3, P), and texel coordinates of what they mirror to `place` (2, P).
 
-    image: (C, P) sums of the rasteriser. rays: (3, P). stack: (L, H, W, 3); without levels no pixel reflects.
+    image: (C, P) sums of the rasteriser. rays: (3, P). stack: (L, H, W, 3); without levels no pixel reflects. mirrored: (4, P)
+    transmittance along the mirrored direction and radiance of what blocks it; (4, 0): nothing does.
     """
     levels, height, width, _ = stack.shape
     opacity = image.shape[0] - 1
@@ -97,8 +98,8 @@ def shade_range(begin, end, image, rays, rotation, stack, knots, table, reflecti
                 out[k, p] = image[k, p] * inverse
             continue
         inverse = 1 / alpha
-        _, mirrored, _, cosine, _ = _geometry(image, rays, rotation, p, inverse)
-        u, v = lightmap_place(mirrored[0], mirrored[1], mirrored[2])
+        _, towards, _, cosine, _ = _geometry(image, rays, rotation, p, inverse)
+        u, v = lightmap_place(towards[0], towards[1], towards[2])
         x, y = u * width - 0.5, v * height - 0.5
         place[0, p], place[1, p] = x, y
         roughness, metallic = image[9, p] * inverse, image[10, p] * inverse
@@ -111,6 +112,8 @@ def shade_range(begin, end, image, rays, rotation, stack, knots, table, reflecti
                 above = stack[level, top, left, k] * (1 - fx) + stack[level, top, right, k] * fx
                 below = stack[level, bottom, left, k] * (1 - fx) + stack[level, bottom, right, k] * fx
                 light += share * (above * (1 - fy) + below * fy)
+            if mirrored.shape[1] > 0:
+                light = mirrored[0, p] * light + mirrored[1 + k, p]
             f0 = DIELECTRIC_F0 * (1 - metallic) + metallic * image[6 + k, p] * inverse
             out[k, p] = (1 - metallic) * image[k, p] * inverse + light * (f0 * scale + bias)
 
@@ -131,11 +134,11 @@ def _normal_gradient(n, mirrored, v, cosine, gx, gy, g_cosine):
 
 @kernel
 def shade_backward_range(
-    slot, begin, end, image, rays, rotation, stack, knots, table, reflecting, floor, place, upstream, gradient, slots
+    slot, begin, end, image, rays, rotation, stack, mirrored, knots, table, reflecting, floor, place, upstream, gradient, slots
 ):  # fmt: skip
     """Compute the adjoint of `shade_range`: write `gradient` (C, P) and add that of the stack to slots[slot] (L, H, W, 3).
 
-    Without slots the stack's gradient is not computed.
+    Without slots the stack's gradient is not computed. `mirrored` is constant.
     """
     levels, height, width, _ = stack.shape
     opacity = image.shape[0] - 1
@@ -151,12 +154,13 @@ def shade_backward_range(
             gradient[opacity, p] = g_alpha if alpha > floor else 0.0
             continue
         inverse = 1 / alpha
-        n, mirrored, v, cosine, length = _geometry(image, rays, rotation, p, inverse)
+        n, towards, v, cosine, length = _geometry(image, rays, rotation, p, inverse)
         roughness, metallic = image[9, p] * inverse, image[10, p] * inverse
         scale, bias, by_cosine, by_roughness = _albedo_terms(table, min(max(cosine, _LEAST_COSINE), 1.0), roughness)
         low, f, slope = _level(roughness, knots)
         left, right, top, bottom, fx, fy = _corners(place[0, p], place[1, p], height, width)
         gx, gy, g_level, g_scale, g_bias, g_metallic, g_alpha = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+        passing = float(mirrored[0, p]) if mirrored.shape[1] > 0 else 1.0
         for k in range(3):
             g, colour, albedo = float(upstream[k, p]), image[k, p] * inverse, image[6 + k, p] * inverse
             f0 = DIELECTRIC_F0 * (1 - metallic) + metallic * albedo
@@ -165,8 +169,10 @@ def shade_backward_range(
             c1, d1 = stack[low + 1, bottom, left, k], stack[low + 1, bottom, right, k]
             a, b, c, d = a0 + f * (a1 - a0), b0 + f * (b1 - b0), c0 + f * (c1 - c0), d0 + f * (d1 - d0)
             above, below = a + fx * (b - a), c + fx * (d - c)
-            light = above + fy * (below - above)
-            g_light, g_term = g * (f0 * scale + bias), g * light
+            light = passing * (above + fy * (below - above))
+            if mirrored.shape[1] > 0:
+                light += mirrored[1 + k, p]
+            g_light, g_term = passing * g * (f0 * scale + bias), g * light
             gx += g_light * ((1 - fy) * (b - a) + fy * (d - c))
             gy += g_light * (below - above)
             g_level += g_light * ((1 - fy) * ((1 - fx) * (a1 - a0) + fx * (b1 - b0)) + fy * ((1 - fx) * (c1 - c0) + fx * (d1 - d0)))
@@ -189,7 +195,7 @@ def shade_backward_range(
         free = _LEAST_COSINE <= cosine <= 1
         g_cosine = g_scale * by_cosine[0] + g_bias * by_cosine[1] if free else 0.0
         inside = 0 < place[1, p] < height - 1
-        ga, gb, gc = _normal_gradient(n, mirrored, v, cosine, gx * width, gy * height if inside else 0.0, g_cosine)
+        ga, gb, gc = _normal_gradient(n, towards, v, cosine, gx * width, gy * height if inside else 0.0, g_cosine)
         for j in range(3):  # the rotation is undone by its transpose
             gradient[3 + j, p] = (rotation[0, j] * ga + rotation[1, j] * gb + rotation[2, j] * gc) * length * inverse
         gradient[9, p], gradient[10, p] = g_roughness * inverse, g_metallic * inverse

@@ -118,12 +118,32 @@ def mirror_of(
     return albedo_terms(m, roughness, table)
 
 
+@wp.func
+def through(mirrored: wp.array2d(dtype=float), p: int) -> float:
+    """Return the fraction of the light that reaches pixel p along its mirrored direction."""
+    if mirrored.shape[1] == 0:
+        return 1.0
+    return mirrored[0, p]
+
+
+@wp.func
+def blocked(mirrored: wp.array2d(dtype=float), p: int) -> wp.vec3:
+    """Return the radiance of what blocks the light of pixel p."""
+    if mirrored.shape[1] == 0:
+        return wp.vec3(0.0)
+    return wp.vec3(mirrored[1, p], mirrored[2, p], mirrored[3, p])
+
+
 @wp.kernel
 def shade(
     image: wp.array2d(dtype=float), rays: wp.array2d(dtype=float), rotation: wp.array(dtype=wp.mat33), stack: wp.array3d(dtype=wp.vec3),
-    knots: wp.array(dtype=float), table: wp.array2d(dtype=wp.vec2), reflecting: float, floor: float, out: wp.array2d(dtype=float),
+    mirrored: wp.array2d(dtype=float), knots: wp.array(dtype=float), table: wp.array2d(dtype=wp.vec2), reflecting: float, floor: float,
+    out: wp.array2d(dtype=float),
 ):  # fmt: skip
-    """Write the radiance of each pixel, (3, P); image: (C, P) sums of the rasteriser; without levels in the stack no pixel reflects."""
+    """Write the radiance of each pixel, (3, P); image: (C, P) sums of the rasteriser; without levels in the stack no pixel reflects.
+
+    mirrored: (4, P) transmittance along the mirrored direction and radiance of what blocks it; (4, 0): nothing does.
+    """
     p = wp.tid()
     alpha = image[image.shape[0] - 1, p]
     colour = wp.vec3(image[0, p], image[1, p], image[2, p])
@@ -137,6 +157,7 @@ def shade(
             above = stack[m.low + step, m.top, m.left] * (1.0 - m.fx) + stack[m.low + step, m.top, m.right] * m.fx
             below = stack[m.low + step, m.bottom, m.left] * (1.0 - m.fx) + stack[m.low + step, m.bottom, m.right] * m.fx
             light += (above * (1.0 - m.fy) + below * m.fy) * wp.where(step == 0, 1.0 - m.share, m.share)
+        light = through(mirrored, p) * light + blocked(mirrored, p)
         metallic = image[10, p] * inverse
         albedo = wp.vec3(image[6, p], image[7, p], image[8, p]) * inverse
         f0 = albedo * metallic + wp.vec3(_F0 * (1.0 - metallic))
@@ -167,12 +188,13 @@ def add_to(sums: wp.array3d(dtype=wp.int64), row: int, column: int, value: wp.ve
 @wp.kernel
 def shade_backward(
     image: wp.array2d(dtype=float), rays: wp.array2d(dtype=float), rotation: wp.array(dtype=wp.mat33), stack: wp.array3d(dtype=wp.vec3),
-    knots: wp.array(dtype=float), table: wp.array2d(dtype=wp.vec2), reflecting: float, floor: float, upstream: wp.array2d(dtype=float),
-    largest: wp.array(dtype=float), gradient: wp.array2d(dtype=float), sums: wp.array3d(dtype=wp.int64),
+    mirrored: wp.array2d(dtype=float), knots: wp.array(dtype=float), table: wp.array2d(dtype=wp.vec2), reflecting: float, floor: float,
+    upstream: wp.array2d(dtype=float), largest: wp.array(dtype=float), gradient: wp.array2d(dtype=float), sums: wp.array3d(dtype=wp.int64),
 ):  # fmt: skip
     """Compute the adjoint of `shade`: write `gradient` (C, P), and add that of the stack to `sums` (L H, W, 3).
 
     largest: of |upstream|, (1,), which sets the unit of the sums. Without rows of the sums the stack's gradient is not computed.
+    `mirrored` is constant.
     """
     p = wp.tid()
     last = image.shape[0] - 1
@@ -200,8 +222,9 @@ def shade_backward(
     c1, d1 = stack[m.low + 1, m.bottom, m.left] - c0, stack[m.low + 1, m.bottom, m.right] - d0
     a, b, c, d = a0 + a1 * m.share, b0 + b1 * m.share, c0 + c1 * m.share, d0 + d1 * m.share
     above, below = a + (b - a) * m.fx, c + (d - c) * m.fx
-    light = above + (below - above) * m.fy
-    g_light, g_term = wp.cw_mul(up, f0 * m.scale + wp.vec3(m.bias)), wp.cw_mul(up, light)
+    passing = through(mirrored, p)
+    light = (above + (below - above) * m.fy) * passing + blocked(mirrored, p)
+    g_light, g_term = wp.cw_mul(up, f0 * m.scale + wp.vec3(m.bias)) * passing, wp.cw_mul(up, light)
     by_x = wp.dot(g_light, (b - a) * (1.0 - m.fy) + (d - c) * m.fy) * float(stack.shape[2])
     by_y = wp.where(m.inside == 1, wp.dot(g_light, below - above) * float(height), 0.0)
     step = (a1 * (1.0 - m.fx) + b1 * m.fx) * (1.0 - m.fy) + (c1 * (1.0 - m.fx) + d1 * m.fx) * m.fy
@@ -248,7 +271,7 @@ class Shade(torch.autograd.Function):
     """Autograd function of core/kernels/split_sum.py on the GPU; it never makes the host wait."""
 
     @staticmethod
-    def forward(ctx, image, stack, rays, rotation, tables, thresholds):
+    def forward(ctx, image, stack, rays, rotation, mirrored, tables, thresholds):
         """Compute the radiance.
 
         Args:
@@ -257,13 +280,14 @@ class Shade(torch.autograd.Function):
             stack: (L, h, w, 3) prefiltered light.
             rays: (3, H, W) world directions.
             rotation: (3, 3) world to the frame of the light.
+            mirrored: (4, H, W) what mirrored rays meet; (4, 0, 0): nothing.
             tables: roughness of each level (L,), and scale and bias of F0 (T, T, 2).
             thresholds: as those of `shade_pixels`.
 
         Returns:
             (3, H, W) linear radiance with straight alpha.
         """
-        tensors = [t.detach().contiguous() for t in (image.flatten(1), rays.flatten(1), rotation, stack, *tables)]
+        tensors = [t.detach().contiguous() for t in (image.flatten(1), rays.flatten(1), rotation, stack, mirrored.flatten(1), *tables)]
         out = image.new_empty(3, *image.shape[1:])
         ctx.arguments = (*tensors, *thresholds)
         launch(shade, tensors[0].shape[1], *ctx.arguments, out.view(3, -1))
@@ -284,4 +308,4 @@ class Shade(torch.autograd.Function):
         if wanted:
             of_stack = torch.empty_like(stack)
             launch(in_floats, stack.numel(), sums, largest, of_stack)
-        return gradient, of_stack, None, None, None, None
+        return gradient, of_stack, None, None, None, None, None

@@ -15,6 +15,7 @@ from ..common.optimizer import GaussianOptimizer
 
 PRUNE_OPACITY = 0.05  # Gaussians below are removed
 RESET_OPACITY = 0.1  # a reset clamps opacities to this
+MIN_HULL_FRACTION = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
 SPLIT_SHRINK = 1.6  # scales of a split Gaussian are divided by this
 
 
@@ -113,3 +114,16 @@ def reset_opacity(optimizer: GaussianOptimizer) -> None:
     with torch.no_grad():
         optimizer.leaves["opacity"].clamp_(max=limit)
     optimizer.reset_moments("opacity")
+
+
+def require_surfels(left: int, initial: int, done: int) -> None:
+    """Raise IrgsppError where most of the initial surfels were pruned: with masks, none grow back.
+
+    Args:
+        left: surfels that are left.
+        initial: surfels that the fit started with.
+        done: steps done.
+    """
+    if left < MIN_HULL_FRACTION * initial:
+        lost = f"only {left:,} of {initial:,} surfels that the fit started with are left at iteration {done}"
+        raise IrgsppError(f"first stage: {lost}; check that cameras and masks match the images")

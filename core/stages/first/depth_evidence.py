@@ -11,14 +11,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import torch
 from scipy.ndimage import gaussian_filter
 
-from ...scene.dataset import Bound, View
+from ...kernels.rasterize import rasterize
+from ...scene.dataset import Bound, Dataset, View
+from ...scene.gaussians import Gaussians
 from ...stereo.reprojection import reprojection_errors
 
 VOXEL_SIDE = 0.02  # side of a voxel in radii of the bound
 BLUR_VOXELS = 1.5  # standard deviation, in voxels, of the blur that turns voxels into regions
 MIN_COUNT = 1e-9  # least count that sums are divided by
+MIN_OPACITY = 0.5  # opacity from which a rendered pixel has a depth
 MIN_ALPHA = 0.95  # alpha from which a pixel is compared
 
 
@@ -100,3 +104,20 @@ def _cells(points: np.ndarray, bound: Bound, count: int) -> np.ndarray:
     """Return the voxels (N, 3) of points (N, 3), those outside at the border."""
     place = ((points - np.asarray(bound.centre)) / bound.radius + 1) / VOXEL_SIDE
     return np.clip(np.round(place).astype(int), 0, count - 1)
+
+
+@torch.no_grad()
+def rendered_depths(gaussians: Gaussians, dataset: Dataset) -> list[np.ndarray]:
+    """Return the planar depth (H, W) of Gaussians in each training view, 0 where they are not opaque.
+
+    Args:
+        gaussians: the Gaussians.
+        dataset: views, and the bound that sets the scale.
+    """
+    g, depths = gaussians, []
+    parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.position.new_zeros(0, g.count))
+    for view in dataset.train:
+        sums, _ = rasterize(*parameters, view.camera, dataset.bound.radius, 0)
+        depth, alpha = sums[-2:].cpu().numpy()
+        depths.append(np.where(alpha > MIN_OPACITY, depth / np.maximum(alpha, MIN_OPACITY), np.float32(0)))
+    return depths

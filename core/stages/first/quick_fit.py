@@ -10,7 +10,9 @@ import torch
 
 from ...errors import Cancelled
 from ...io.srgb import encode_srgb
+from ...kernels.rasterize import rasterize
 from ...progress.protocol import Progress
+from ...rendering.deferred import splat_radiance
 from ...scene.dataset import Dataset
 from ...settings.schema import Settings
 from .initialization import initial_gaussians
@@ -55,11 +57,12 @@ def quick_renderings(dataset: Dataset, settings: Settings, progress: Progress) -
 
 def _rendered(trainer: Trainer, dataset: Dataset, progress: Progress) -> list[tuple[np.ndarray, np.ndarray]]:
     """Render the fit at the size of the views."""
-    result = []
+    g, result = trainer.optimizer.gaussians, []
+    parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.position.new_zeros(0, g.count))
     for view in dataset.train:
         if progress.cancelled:
             raise Cancelled("stopped in the quick fit")
         with torch.no_grad():
-            straight, opacity = trainer.straight(view.camera)
-        result.append((encode_srgb(straight).permute(1, 2, 0).numpy(), opacity.numpy()))
+            sums, _ = rasterize(*parameters, view.camera, dataset.bound.radius, 3)
+        result.append((encode_srgb(splat_radiance(sums)).permute(1, 2, 0).numpy(), sums[-1].numpy()))
     return result

@@ -9,6 +9,7 @@ from ...settings.schema import FirstStageSettings
 from ..common.image_loss import LossWeights
 
 ANCHORS_FROM = 0.3  # of the schedule: surfels have found the places that the photographs alone lead them to
+RENEWALS = 10  # of the traced inter-reflections in a whole schedule: surfels move little between two of them
 OPEN_EDGE_DISAGREEMENT = 0.2  # disagreement of normals, 1 - cosine, that counts half while edges are open: about 37 degrees
 
 
@@ -36,3 +37,9 @@ def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
 def anchors_due(settings: FirstStageSettings, done: int) -> bool:
     """Return True from the step on at which depth anchors are chosen, where they count at all."""
     return settings.anchor_weight > 0 and done >= ANCHORS_FROM * settings.iterations
+
+
+def inter_reflections_due(settings: FirstStageSettings, done: int) -> bool:
+    """Return True at the steps at which inter-reflections are traced anew."""
+    since = done - math.ceil(settings.inter_reflections * settings.iterations)
+    return settings.inter_reflections < 1 and since >= 0 and since % math.ceil(settings.iterations / RENEWALS) == 0

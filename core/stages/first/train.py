@@ -101,7 +101,7 @@ def train(
     before = incomplete_images()
     trainer.run(progress, checkpoint)
     _report_run(trainer, incomplete_images() - before, progress)
-    result = estimate_light_albedo(_fitted(trainer).to("cpu"), settings.seed, dataset.train)
+    result = estimate_light_albedo(trainer.reconstruction().to("cpu"), settings.seed, dataset.train)
     return result, trainer.settings.iterations / settings.first.iterations
 
 
@@ -130,16 +130,6 @@ def _report_run(trainer: Trainer, incomplete: int, progress: Progress) -> None:
     if trainer.anchors is not None and trainer.anchors.chosen and len(trainer.anchors.pixel):
         kept = len(trainer.anchors.pixel)
         progress.message(f"{kept:,} depths are held at stereo's, where it fits the photographs better than the surfels")
-
-
-def _fitted(trainer: Trainer) -> Reconstruction:
-    """Return what a trainer fitted; raise IrgsppError where a value is not finite."""
-    trainer.optimizer.check_finite()
-    dataset, gaussians = trainer.dataset, trainer.optimizer.gaussians
-    fitted = gaussians.select(torch.arange(gaussians.count))
-    background = None if trainer.masked else trainer.background.detach().exp()
-    light, has_split_sum = trainer.light.detach().exp(), trainer.material_class.split_sum
-    return Reconstruction(fitted, light, dataset.bound, dataset.to_world, has_split_sum, background)
 
 
 def _scale_to_deadline(trainer: Trainer, dataset: Dataset, settings: Settings, deadline: float, progress: Progress) -> None:

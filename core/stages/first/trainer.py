@@ -16,9 +16,9 @@ from ...io.quantisation import eight_bits
 from ...kernels.rasterize import ScreenStatistics, rasterize
 from ...progress.protocol import Checkpoint, Progress
 from ...rendering.deferred import radiance
-from ...scene.camera import Camera
 from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
+from ...scene.reconstruction import Reconstruction
 from ...settings.schema import FirstStageSettings
 from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
@@ -29,19 +29,19 @@ from ..common.training_view import TrainingView, border_radiance, make_training_
 from ..common.training_view_cache import TrainingViewCache
 from ..common.view_order import next_view
 from .checkpoint_state import invalid_checkpoint, state_fits
-from .densification import DensityControl, reset_opacity
+from .densification import DensityControl, require_surfels, reset_opacity
 from .depth_anchors import DepthAnchors
+from .depth_evidence import rendered_depths
+from .inter_reflections import InterReflections
 from .material_class import GEOMETRY_RATES, MaterialClass, initial_materials
-from .schedule import anchors_due, loss_weights, rays_per_side, sh_degree
+from .schedule import anchors_due, inter_reflections_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
 CHECKPOINT_SECONDS = 30.0  # between two checkpoints
 DENSITY_CONTROL_RANGE = 0.1, 0.7  # fractions of the schedule between which density control acts
 MAX_DENSITY_CONTROLS = 20  # it acts at most once in each such part of the schedule
 RESET_EVERY = 3000  # steps between opacity resets (3DGS); shorter schedules have none
-MIN_HULL_FRACTION = 0.4  # least fraction of the initial surfels that must remain; consistent images prune a few per cent
 RATES_CHOSEN_AT = 1500  # steps of the schedule with which the GEOMETRY_RATES were chosen
-MIN_OPACITY = 0.5  # opacity from which a pixel has a depth
 TEST_EVERY = 50  # steps between tests on the held-back views
 
 
@@ -58,6 +58,7 @@ class Trainer:
         done: steps done.
         order: views of the current epoch that are still to come, last first.
         anchors: stereo's depths at which the surfels' are held; None for none.
+        inter_reflections: what mirrored rays meet; None where they are not traced yet, or never.
     """
 
     def __init__(
@@ -89,7 +90,7 @@ class Trainer:
             anchors: stereo's depths, of which some are chosen in the course of the schedule; None for none.
             metal: (N,) bool, surfels that start with the materials of METAL instead; None for none.
         """
-        self.anchors = anchors
+        self.anchors, self.inter_reflections = anchors, None
         self.dataset, self.settings, self.material_class = dataset, settings, material_class
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
@@ -110,55 +111,48 @@ class Trainer:
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
 
-    def render(self, view: TrainingView, degree: int = 3) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+    def render(
+        self, view: TrainingView, degree: int = 3, mirrored: torch.Tensor | None = None
+    ) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
         """Render a view of the current Gaussians.
 
         Args:
             view: camera and rays.
             degree: highest SH degree in use, 0..3.
+            mirrored: (4, H, W) what mirrored rays meet, see `InterReflections`; None: nothing.
 
         Returns:
             The sRGB-encoded image (3, H, W), the sums (C, H, W) of `rasterize`, and its screen-space statistics.
         """
-        straight, sums, statistics = self._shade(view, degree, self.settings.subpixels)
+        straight, sums, statistics = self._shade(view, degree, self.settings.subpixels, mirrored)
         return displayed(straight, sums[-1], view, self._background()), sums, statistics
 
     def _background(self) -> torch.Tensor | None:
         """Return the radiance of the background map, (64, 128, 3); None where all images have masks."""
         return None if self.masked else self.background.exp()
 
-    def _shade(self, view: TrainingView, degree: int, subpixels: int) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+    def _shade(
+        self, view: TrainingView, degree: int, subpixels: int, mirrored: torch.Tensor | None
+    ) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
         """Return the linear radiance (3, H, W) of a view with straight alpha, and the sums and the statistics of `rasterize`."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.split_sum else g.position.new_zeros(0, g.count)
         parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         sums, statistics = rasterize(*parameters, view.camera, radius, degree, subpixels)
-        straight = radiance(sums, view.world_rays, self.light.exp() if self.material_class.split_sum else None, view.light_rotation)
+        light = self.light.exp() if self.material_class.split_sum else None
+        straight = radiance(sums, view.world_rays, light, view.light_rotation, mirrored)
         return straight, sums, statistics
-
-    def straight(self, camera: Camera) -> tuple[torch.Tensor, torch.Tensor]:
-        """Render the current Gaussians without a background and without reflections of the light map.
-
-        Args:
-            camera: camera of the image.
-
-        Returns:
-            Linear radiance (3, H, W) with straight alpha, and the opacity (H, W).
-        """
-        g = self.optimizer.gaussians
-        none = g.position.new_zeros(0, g.count)
-        sums, _ = rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, none, camera, self.dataset.bound.radius, 3)
-        rays = torch.from_numpy(camera.rays()).permute(2, 0, 1).to(self.device)
-        return radiance(sums, rays, None, None), sums[-1]
 
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         if self.anchors is not None and anchors_due(self.settings, self.done) and not self.anchors.chosen:
-            self.anchors = self.anchors.choose(self.dataset, self._depths())
+            self.anchors = self.anchors.choose(self.dataset, rendered_depths(self.optimizer.gaussians, self.dataset))
+        if self.material_class.split_sum and inter_reflections_due(self.settings, self.done):
+            self.inter_reflections = InterReflections(self.reconstruction(), self.training_views)
         index = self._next_view()
         view = self.training_views[index].to(self.device)
         degree = sh_degree(self.settings, self.done)
-        straight, sums, statistics = self._shade(view, degree, rays_per_side(self.settings, self.done))
+        straight, sums, statistics = self._shade(view, degree, rays_per_side(self.settings, self.done), self._mirrored(index))
         loss = image_loss(straight, sums, view, self._background(), loss_weights(self.settings, self.done))
         if self.material_class.split_sum:
             loss = loss + self.settings.light_smoothness * light_variation(self.light)
@@ -173,16 +167,18 @@ class Trainer:
         self._control(statistics)
         return self._loss
 
-    def _depths(self) -> list[np.ndarray]:
-        """Return the planar depth (H, W) of the Gaussians in each training view, 0 where they are not opaque."""
-        g, depths = self.optimizer.gaussians, []
-        parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.position.new_zeros(0, g.count))
-        for view in self.dataset.train:
-            with torch.no_grad():
-                sums, _ = rasterize(*parameters, view.camera, self.dataset.bound.radius, 0)
-            depth, alpha = sums[-2:].cpu().numpy()
-            depths.append(np.where(alpha > MIN_OPACITY, depth / np.maximum(alpha, MIN_OPACITY), np.float32(0)))
-        return depths
+    def _mirrored(self, index: int) -> torch.Tensor | None:
+        """Return what the mirrored rays of a training view meet, (4, H, W); None where they are not traced."""
+        return None if self.inter_reflections is None else self.inter_reflections[index]
+
+    def reconstruction(self) -> Reconstruction:
+        """Return a copy of the current state; raise IrgsppError where a value is not finite."""
+        self.optimizer.check_finite()
+        dataset, gaussians = self.dataset, self.optimizer.gaussians
+        fitted = gaussians.select(torch.arange(gaussians.count))
+        background = None if self.masked else self.background.detach().exp()
+        light, has_split_sum = self.light.detach().exp(), self.material_class.split_sum
+        return Reconstruction(fitted, light, dataset.bound, dataset.to_world, has_split_sum, background)
 
     def _finite_value(self, loss: torch.Tensor) -> float:
         """Read a loss (scalar); raise IrgsppError where it is not finite."""
@@ -202,16 +198,10 @@ class Trainer:
         period = max(settings.iterations // MAX_DENSITY_CONTROLS, 2 * len(self.training_views) if self.masked else 1)
         if self.density.images >= period:
             self.density.refine(self.optimizer, self.generator, grow=not self.masked)
-            self._check_hull()
+            if self.masked:
+                require_surfels(self.optimizer.gaussians.count, self._initial_count, self.done)
         if not self.masked and self.done % RESET_EVERY == 0:
             reset_opacity(self.optimizer)
-
-    def _check_hull(self) -> None:
-        """Raise IrgsppError where most of the initial surfels were pruned: with masks, none grow back."""
-        left = self.optimizer.gaussians.count
-        if self.masked and left < MIN_HULL_FRACTION * self._initial_count:
-            lost = f"only {left:,} of {self._initial_count:,} surfels that the fit started with are left at iteration {self.done}"
-            raise IrgsppError(f"first stage: {lost}; check that cameras and masks match the images")
 
     def _next_view(self) -> int:
         """Draw a training view; each is drawn once per epoch."""
@@ -224,7 +214,9 @@ class Trainer:
         for index in torch.nonzero(self.held_back)[:, 0].tolist():
             view = self.training_views[index].to(self.device)
             with torch.no_grad():
-                error = (self.render(view)[0].clamp(0, 1) - view.image).square().mean() * view.pixel_fraction
+                error = (
+                    self.render(view, mirrored=self._mirrored(index))[0].clamp(0, 1) - view.image
+                ).square().mean() * view.pixel_fraction
             values.append(-10 * math.log10(max(error.item(), 1e-10)))
         return sum(values) / len(values) if values else None
 
@@ -232,8 +224,10 @@ class Trainer:
         """Render the first training view as a small preview image (H, W, 3) uint8."""
         camera = self.training_views[0].camera
         with torch.no_grad():
-            small = make_training_view(self.dataset.train[0], math.ceil(max(camera.width, camera.height) / MAX_IMAGE_SIDE))
-            rendered = self.render(small.to(self.device))[0]
+            reduction = math.ceil(max(camera.width, camera.height) / MAX_IMAGE_SIDE)
+            small = make_training_view(self.dataset.train[0], reduction).to(self.device)
+            mirrored = None if self.inter_reflections is None else self.inter_reflections.along(small)
+            rendered = self.render(small, mirrored=mirrored)[0]
         return eight_bits(rendered.permute(1, 2, 0).cpu().numpy())
 
     def reschedule(self, iterations: int) -> None:
@@ -281,18 +275,22 @@ class Trainer:
         schedule = {"done": self.done, "iterations": self.settings.iterations, "kind": self.material_class.name}
         anchors = None if self.anchors is None else self.anchors.state()
         schedule["open_edges"] = self.settings.open_edges or 0.0
-        return {**schedule, "optimizer": self.optimizer.state(), "anchors": anchors, **density, **order}
+        reflected = None if self.inter_reflections is None else self.inter_reflections.state()
+        return {**schedule, "optimizer": self.optimizer.state(), "anchors": anchors, "inter_reflections": reflected, **density, **order}
 
     def restore(self, state: dict[str, Any]) -> None:
         """Continue from a `state`; raise InputError where it is not one of this job's first stage."""
         try:
             fits = state_fits(state, len(self.training_views), self.optimizer)
             anchors = None if state["anchors"] is None else DepthAnchors.of_state(state["anchors"], self.dataset)
+            reflected = state["inter_reflections"]
+            if reflected is not None:
+                reflected = InterReflections.of_state(reflected, self.reconstruction(), self.training_views)
         except (LookupError, TypeError, ValueError, AttributeError, RuntimeError):  # the file may hold any values
-            fits, anchors = False, None
+            fits, anchors, reflected = False, None, None
         if not fits:
             raise invalid_checkpoint()
-        self.done, self.order, self.anchors = int(state["done"]), state["order"], anchors
+        self.done, self.order, self.anchors, self.inter_reflections = int(state["done"]), state["order"], anchors, reflected
         self.settings = replace(self.settings, open_edges=float(state["open_edges"]))
         self.reschedule(int(state["iterations"]))
         self.generator.set_state(state["generator"])

@@ -56,7 +56,8 @@ def prepare_trial(
     if metal is not None:
         metal = metal[chosen_surfels(gaussians.count, brief.trial_gaussians, settings.seed)]
     light_height = min(LIGHT_HEIGHT, brief.light_height)
-    brief = replace(brief, iterations=brief.trial_iterations, gaussians=few.count, light_height=light_height, single_rays=1.0)
+    size = {"iterations": brief.trial_iterations, "gaussians": few.count, "light_height": light_height}
+    brief = replace(brief, **size, single_rays=1.0, inter_reflections=1.0)
     reduction = max(1, max(camera.width, camera.height) // brief.trial_resolution)
     rated = with_geometry_rates(material_class, GLOSSY)
     return Trainer(dataset, brief, few, rated, settings.seed, TRIAL_HOLD_BACK, reduction=reduction, crop=crop, metal=metal)

@@ -24,24 +24,25 @@ def sums(seed=0):
     return image, rays
 
 
-def computed(function, image, rays, stack, rotation, upstream):
+def computed(function, image, rays, stack, rotation, upstream, mirrored=None):
     """Return the value of a function of an image and a stack, and its gradients by both."""
     image, stack = image.clone().requires_grad_(), stack.clone().requires_grad_()
-    out = function(image, rays, stack, rotation)
+    out = function(image, rays, stack, rotation, mirrored)
     (out * upstream).sum().backward()
     assert image.grad is not None and stack.grad is not None
     return out.detach(), image.grad, stack.grad
 
 
-@pytest.mark.parametrize("rotation", [None, QUARTER], ids=["still", "turned"])
-def test_kernel_agrees_with_pytorch(rotation):
+@pytest.mark.parametrize(("rotation", "blocked"), [(None, False), (QUARTER, False), (QUARTER, True)], ids=["still", "turned", "blocked"])
+def test_kernel_agrees_with_pytorch(rotation, blocked):
     image, rays = sums()
     generator = torch.Generator().manual_seed(1)
     stack = specular_light(torch.rand(16, 32, 3, generator=generator).square() * 3)
     upstream = torch.randn(3, *SHAPE, generator=generator)
-    fast = computed(reflective_radiance, image, rays, stack, rotation, upstream)
-    turned = None if rotation is None else rotation.double()
-    slow = computed(reflective_radiance_reference, image.double(), rays.double(), stack.double(), turned, upstream.double())
+    mirrored = torch.rand(4, *SHAPE, generator=generator) if blocked else None
+    fast = computed(reflective_radiance, image, rays, stack, rotation, upstream, mirrored)
+    doubles = [None if t is None else t.double() for t in (rotation, upstream, mirrored)]
+    slow = computed(reflective_radiance_reference, image.double(), rays.double(), stack.double(), *doubles)
     for kernel, reference in zip(fast, slow, strict=True):
         assert (kernel - reference).norm() <= 1e-5 * reference.norm()
 

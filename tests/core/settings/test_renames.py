@@ -66,6 +66,7 @@ OLD = {
 ADDED = {
     "first.subpixels",
     "first.anchor_weight",
+    "first.inter_reflections",
     "first.open_edges",
     "first.metal_regions",
     "first.single_rays",

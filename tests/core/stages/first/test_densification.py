@@ -8,7 +8,14 @@ import torch
 from irgspp.core.errors import IrgsppError
 from irgspp.core.kernels.rasterize import ScreenStatistics
 from irgspp.core.stages.common.optimizer import GaussianOptimizer, Rate
-from irgspp.core.stages.first.densification import PRUNE_OPACITY, RESET_OPACITY, SPLIT_SHRINK, DensityControl, reset_opacity
+from irgspp.core.stages.first.densification import (
+    PRUNE_OPACITY,
+    RESET_OPACITY,
+    SPLIT_SHRINK,
+    DensityControl,
+    require_surfels,
+    reset_opacity,
+)
 
 COUNT = 200
 RATES = {"position": Rate(1e-3), "opacity": Rate(1e-2)}
@@ -106,3 +113,9 @@ def test_opacity_is_capped_and_its_moments_forgotten(gaussians):
     assert torch.equal(opacity[:5], low)
     moments = optimizer.state()["moments"]
     assert not moments["opacity.exp_avg"].any() and moments["position.exp_avg"].all()
+
+
+def test_a_hull_that_falls_apart_is_one_clear_line():
+    require_surfels(170, 400, 7)
+    with pytest.raises(IrgsppError, match="only 150 of 400 surfels that the fit started with are left at iteration 7"):
+        require_surfels(150, 400, 7)

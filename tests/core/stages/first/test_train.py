@@ -97,9 +97,10 @@ def test_stopped_fit_goes_on_with_the_metal_that_a_trial_chose(sphere_dataset, c
     assert metallic[whole.gaussians.position[0] < -0.1].min() > 0.5 > metallic[whole.gaussians.position[0] > 0.1].max()
 
 
-@pytest.mark.parametrize("material_class", [GLOSSY, METAL])
-def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, material_class):
-    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings().first
+@pytest.mark.parametrize(("material_class", "traced_from"), [(GLOSSY, 1.0), (METAL, 1.0), (METAL, 0.1), (GLOSSY, 0.5)])
+def test_state_holds_all_that_matters_of_a_reflecting_fit(sphere_dataset, camera_ring, material_class, traced_from):
+    """Also where it was stopped after, or before, the first trace of inter-reflections."""
+    dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings(f"first.inter_reflections={traced_from}").first
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
     first, second = (Trainer(dataset, chosen, start, material_class, 0, 9) for _ in range(2))
     for _ in range(12):
@@ -269,17 +270,6 @@ def test_surfels_go_slower_in_a_schedule_that_is_longer_than_was_set(sphere_data
         assert {n: r for n, r in rates.items() if n not in GEOMETRY_RATES} == {n: r for n, r in own.items() if n not in GEOMETRY_RATES}
 
 
-def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
-    dataset = sphere_dataset(camera_ring(3, 32))
-    start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    trainer = Trainer(dataset, settings().first, start, LOW_GLOSS, 0, 0)
-    trainer.optimizer.rebuild(start.select(torch.arange(170)), torch.arange(170))
-    trainer._check_hull()
-    trainer.optimizer.rebuild(start.select(torch.arange(150)), torch.arange(150))
-    with pytest.raises(IrgsppError, match="only 150 of 400 surfels"):
-        trainer._check_hull()
-
-
 @pytest.mark.parametrize(
     "change",
     [
@@ -299,13 +289,20 @@ def test_a_hull_that_falls_apart_is_one_clear_line(sphere_dataset, camera_ring):
         lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(399)),
         lambda s: s["optimizer"]["values"].update(opacity=torch.zeros(400, dtype=torch.float64)),
         lambda s: s["optimizer"]["values"].update(position=torch.zeros(400, 3).T),
+        lambda s: s.pop("inter_reflections"),
+        lambda s: s["inter_reflections"].pop("environment"),
+        lambda s: s["inter_reflections"].update(environment=torch.zeros(4, 8, 3)),
+        lambda s: s["inter_reflections"].update(opacity=torch.zeros(3)),
+        lambda s: s["inter_reflections"].update(sh=s["inter_reflections"]["sh"] * math.nan),
+        lambda s: s["inter_reflections"].update(more=torch.zeros(3)),
         lambda s: s["optimizer"].update(values={k: v[..., :0] for k, v in s["optimizer"]["values"].items()}),
     ],
 )
 def test_state_of_another_fit_is_refused(sphere_dataset, camera_ring, change):
     """Compiled code trusts shapes, and a checkpoint may be any file."""
     dataset = sphere_dataset(camera_ring(9, 32))
-    trainer = Trainer(dataset, settings().first, initial_gaussians(dataset, 400, np.random.default_rng(0)), GLOSSY, 0, 9)
+    chosen = settings("first.inter_reflections=0").first
+    trainer = Trainer(dataset, chosen, initial_gaussians(dataset, 400, np.random.default_rng(0)), GLOSSY, 0, 9)
     trainer.step()
     state = trainer.state()
     trainer.restore(state)
