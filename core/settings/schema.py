@@ -66,12 +66,13 @@ class FirstStageSettings:
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
+    distortion_weight: Annotated[float, Range(0)] = 0.0  # loss weight: depth distortion (2DGS), per squared scene radius
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
     metal_regions: Choice = "auto"  # regions of several layers of points start as metal; auto: by trial fits
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
-    # First part of the schedule, after which rays that reflections mirror are traced on the object itself; 1: never.
-    inter_reflections: Annotated[float, Range(0, 1)] = 1.0
+    # First part of the schedule, after which rays that reflections mirror are traced on the object itself; None: 0.4 for metal; 1: never.
+    inter_reflections: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the environment map
@@ -91,6 +92,7 @@ class SecondStageSettings:
     joint_iterations: Annotated[int, Range(1, 1_000_000)] = 10_000  # of the joint optimisation, one view each
     # Of the joint optimisation: factor of the published learning rates of position, scale, rotation and opacity; 0: fixed, as in IRGS.
     geometry_rate: Annotated[float, Range(0)] = 0.01
+    distortion_weight: Annotated[float, Range(0)] = 0.0  # of the joint optimisation: loss weight as that of the first stage
     # Of the joint optimisation; irgs: a baseline with IRGS' BRDF, without metal, from its constant materials and light.
     brdf: Brdf = "principled"
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved

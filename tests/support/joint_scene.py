@@ -48,9 +48,9 @@ def to_double(value):
     return replace(value, **{f.name: to_double(v) for f in fields(value) if isinstance(v := getattr(value, f.name), torch.Tensor)})
 
 
-def _rasterize(g: Gaussians, view: Camera, radius: float, subpixels: int) -> torch.Tensor:
+def _rasterize(g: Gaussians, extra: torch.Tensor, view: Camera, radius: float, subpixels: int) -> torch.Tensor:
     finer = view.resized(view.width * subpixels, view.height * subpixels)
-    image = rasterize_reference(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.materials(), finer, radius)
+    image = rasterize_reference(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, finer, radius)
     return torch.nn.functional.avg_pool2d(image[None], subpixels)[0]
 
 

@@ -31,7 +31,7 @@ def loss_weights(settings: FirstStageSettings, done: int) -> LossWeights:
     open they stay free, but reflections then roughen metal parts, so that trial fits decide (`select_open_edges`).
     """
     edge = OPEN_EDGE_DISAGREEMENT if done < (settings.open_edges or 0.0) * settings.iterations else math.inf
-    return LossWeights(settings.mask_weight, settings.normal_weight, edge)
+    return LossWeights(settings.mask_weight, settings.normal_weight, edge, settings.distortion_weight)
 
 
 def anchors_due(settings: FirstStageSettings, done: int) -> bool:
@@ -40,6 +40,7 @@ def anchors_due(settings: FirstStageSettings, done: int) -> bool:
 
 
 def inter_reflections_due(settings: FirstStageSettings, done: int) -> bool:
-    """Return True at the steps at which inter-reflections are traced anew."""
-    since = done - math.ceil(settings.inter_reflections * settings.iterations)
-    return settings.inter_reflections < 1 and since >= 0 and since % math.ceil(settings.iterations / RENEWALS) == 0
+    """Return True at the steps at which inter-reflections are traced anew; never where the setting is None."""
+    first = 1.0 if settings.inter_reflections is None else settings.inter_reflections
+    since = done - math.ceil(first * settings.iterations)
+    return first < 1 and since >= 0 and since % math.ceil(settings.iterations / RENEWALS) == 0

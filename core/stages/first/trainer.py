@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 import time
 from dataclasses import replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import torch
@@ -20,6 +20,7 @@ from ...scene.dataset import Dataset
 from ...scene.gaussians import Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import FirstStageSettings
+from ..common.depth_distortion import depth_moments
 from ..common.finite_check import check_due
 from ..common.image_loss import displayed, image_loss
 from ..common.light_map import light_variation
@@ -43,6 +44,7 @@ MAX_DENSITY_CONTROLS = 20  # it acts at most once in each such part of the sched
 RESET_EVERY = 3000  # steps between opacity resets (3DGS); shorter schedules have none
 RATES_CHOSEN_AT = 1500  # steps of the schedule with which the GEOMETRY_RATES were chosen
 TEST_EVERY = 50  # steps between tests on the held-back views
+Rendered: TypeAlias = tuple[torch.Tensor, torch.Tensor, ScreenStatistics]  # image (3, H, W), sums (C, H, W), statistics
 
 
 class Trainer:
@@ -91,6 +93,8 @@ class Trainer:
             metal: (N,) bool, surfels that start with the materials of METAL instead; None for none.
         """
         self.anchors, self.inter_reflections = anchors, None
+        if settings.inter_reflections is None:
+            settings = replace(settings, inter_reflections=material_class.inter_reflections)
         self.dataset, self.settings, self.material_class = dataset, settings, material_class
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
@@ -111,9 +115,7 @@ class Trainer:
         self.density = DensityControl(settings.gaussians, dataset.bound.radius)
         self.done, self.order, self._loss = 0, torch.zeros(0, dtype=torch.long), math.nan
 
-    def render(
-        self, view: TrainingView, degree: int = 3, mirrored: torch.Tensor | None = None
-    ) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+    def render(self, view: TrainingView, degree: int = 3, mirrored: torch.Tensor | None = None) -> Rendered:
         """Render a view of the current Gaussians.
 
         Args:
@@ -131,17 +133,16 @@ class Trainer:
         """Return the radiance of the background map, (64, 128, 3); None where all images have masks."""
         return None if self.masked else self.background.exp()
 
-    def _shade(
-        self, view: TrainingView, degree: int, subpixels: int, mirrored: torch.Tensor | None
-    ) -> tuple[torch.Tensor, torch.Tensor, ScreenStatistics]:
+    def _shade(self, view: TrainingView, degree: int, subpixels: int, mirrored: torch.Tensor | None) -> Rendered:
         """Return the linear radiance (3, H, W) of a view with straight alpha, and the sums and the statistics of `rasterize`."""
         g, radius = self.optimizer.gaussians, self.dataset.bound.radius
         extra = g.materials() if self.material_class.split_sum else g.position.new_zeros(0, g.count)
+        if self.settings.distortion_weight > 0:
+            extra = torch.cat([extra, depth_moments(g, view.camera, self.dataset.bound.centre, radius)])
         parameters = (g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra)
         sums, statistics = rasterize(*parameters, view.camera, radius, degree, subpixels)
         light = self.light.exp() if self.material_class.split_sum else None
-        straight = radiance(sums, view.world_rays, light, view.light_rotation, mirrored)
-        return straight, sums, statistics
+        return radiance(sums, view.world_rays, light, view.light_rotation, mirrored), sums, statistics
 
     def step(self) -> float:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
@@ -174,8 +175,7 @@ class Trainer:
     def reconstruction(self) -> Reconstruction:
         """Return a copy of the current state; raise IrgsppError where a value is not finite."""
         self.optimizer.check_finite()
-        dataset, gaussians = self.dataset, self.optimizer.gaussians
-        fitted = gaussians.select(torch.arange(gaussians.count))
+        dataset, fitted = self.dataset, self.optimizer.gaussians.select(torch.arange(self.optimizer.gaussians.count))
         background = None if self.masked else self.background.detach().exp()
         light, has_split_sum = self.light.detach().exp(), self.material_class.split_sum
         return Reconstruction(fitted, light, dataset.bound, dataset.to_world, has_split_sum, background)

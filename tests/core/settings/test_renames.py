@@ -66,6 +66,7 @@ OLD = {
 ADDED = {
     "first.subpixels",
     "first.anchor_weight",
+    "first.distortion_weight",
     "first.inter_reflections",
     "first.open_edges",
     "first.metal_regions",
@@ -74,7 +75,7 @@ ADDED = {
     "first.stereo_margin",
     "skip.subpixels",
 }
-ADDED |= {"second.shading_normals", "second.normal_iterations"}
+ADDED |= {"second.distortion_weight", "second.shading_normals", "second.normal_iterations"}
 ADDED |= {
     "first.gaussians_per_pixel",
     "first.unmasked_gaussians",

@@ -24,6 +24,7 @@ from ....scene.surroundings import Surroundings
 from ....shading.environment_lookup import lookup
 from ....shading.rendering_equation import reflect_light
 from ....shading.sampling import LightDistribution, Samples, draw
+from ...common.depth_distortion import depth_moments
 from ...common.training_view import TrainingView
 
 MIN_FOREGROUND_OPACITY = 0.5  # opacity above which a pixel is shaded
@@ -56,17 +57,18 @@ class SurfelTracer:
         return trace(*geometry, g.sh, g.position.new_zeros(0, g.count), origin, direction, self._tree)
 
 
-def rasterize_sums(gaussians: Gaussians, camera: Camera, scene_radius: float, subpixels: int) -> torch.Tensor:
-    """Return the sums (13, H, W) of `rasterize`, with materials as the extra channels and all degrees of the radiance.
+def rasterize_sums(gaussians: Gaussians, extra: torch.Tensor, camera: Camera, scene_radius: float, subpixels: int) -> torch.Tensor:
+    """Return the sums (8 + E, H, W) of `rasterize`, with all degrees of the radiance.
 
     Args:
         gaussians: N surfels.
+        extra: (E, N) further channels.
         camera: camera with H x W pixels.
         scene_radius: world units.
         subpixels: rays along each side of a pixel.
     """
     g = gaussians
-    return rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, g.materials(), camera, scene_radius, 3, subpixels)[0]
+    return rasterize(g.position, g.quaternion, g.log_scale, g.opacity, g.sh, extra, camera, scene_radius, 3, subpixels)[0]
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,7 @@ class Kernels:
         photometric: see `photometric_loss`.
     """
 
-    rasterize: Callable[[Gaussians, Camera, float, int], torch.Tensor] = rasterize_sums
+    rasterize: Callable[[Gaussians, torch.Tensor, Camera, float, int], torch.Tensor] = rasterize_sums
     trace: Callable[[Gaussians, torch.Tensor, torch.Tensor], torch.Tensor] = field(default_factory=SurfelTracer)
     photometric: Callable[[torch.Tensor, torch.Tensor], torch.Tensor] = photometric_loss
 
@@ -114,6 +116,7 @@ class JointModel:
         shadows: the object hides the light from itself.
         reflect: rendering equation; by default the diffuse lobe loses what the specular one reflects, as in relighting and in Blender.
         kernels: operations.
+        distortion: the depth distortion's moments are rendered, too.
     """
 
     radius: float
@@ -126,6 +129,7 @@ class JointModel:
     shadows: bool = True
     reflect: Reflect = reflect_light
     kernels: Kernels = field(default_factory=Kernels)
+    distortion: bool = False
 
     @classmethod
     def of(
@@ -146,8 +150,19 @@ class JointModel:
         return cls(start.bound.radius, centre, inside_bound(start), near, start.background, subpixels, indirect, shadows)
 
     def render(self, gaussians: Gaussians, view: TrainingView) -> torch.Tensor:
-        """Return the sums (13, H, W) of a view's G-buffer, not divided by opacity; see `rasterize`."""
-        return self.kernels.rasterize(gaussians, view.camera, self.radius, self.subpixels)
+        """Return the sums of a view's G-buffer, not divided by opacity; see `rasterize`.
+
+        Args:
+            gaussians: N surfels.
+            view: camera.
+
+        Returns:
+            (13, H, W) with the five materials as the extra channels; with `distortion` (15, H, W), `depth_moments` follow them.
+        """
+        extra = gaussians.materials()
+        if self.distortion:
+            extra = torch.cat([extra, depth_moments(gaussians, view.camera, self.centre, self.radius)])
+        return self.kernels.rasterize(gaussians, extra, view.camera, self.radius, self.subpixels)
 
     def radiance_image(self, sums: torch.Tensor, view: TrainingView) -> torch.Tensor:
         """Return the sRGB-encoded image (3, H, W) of the Gaussians' own radiance, composited as the photograph is."""

@@ -132,7 +132,9 @@ def _optimised(
     model = JointModel.of(start, near, settings.first.subpixels, second.indirect, second.shadows)
     if second.brdf == "irgs":
         start, model = irgs_start(start), replace(model, reflect=partial(reflect_light, brdf="irgs"))
-    weights, factor = GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, PUBLISHED_RATE_FACTOR
+    model = replace(model, distortion=second.distortion_weight > 0)
+    weights = replace(GLOSSY_WEIGHTS if reflects else LOW_GLOSS_WEIGHTS, distortion=second.distortion_weight)
+    factor = PUBLISHED_RATE_FACTOR
     if refining:
         smooth = REFINING_SMOOTHNESS
         weights, factor = replace(weights, albedo=smooth, roughness=smooth, metallic=smooth), REFINING_RATE_FACTOR

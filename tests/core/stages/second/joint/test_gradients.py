@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gradients of a whole joint step, from surfels and light to the loss, against finite differences in float64."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -24,6 +25,7 @@ GROUPS = {
     "metallic": ("material", slice(4, 5)),
     "light": ("light", slice(None)),
 }
+WEIGHTS = replace(LOW_GLOSS_WEIGHTS, distortion=5.0)  # which is published with the weight 0
 STEP = 1e-6
 ENTRIES = 6  # of each group that are moved one by one, besides all at once
 
@@ -36,7 +38,8 @@ class Step:
         self.view = make_training_view(View("0", camera(), Path("0.png"), image.permute(1, 2, 0).numpy(), disc()))
         self.values = {**bowl().tensors(), "light": log_light()}
         constants = (1.5, torch.zeros(3), torch.ones(COUNT, dtype=torch.bool), None, None)
-        self.models = {torch.float32: JointModel(*constants, 2), torch.float64: JointModel(*constants, 2, kernels=REFERENCE)}
+        fast = JointModel(*constants, 2, distortion=True)
+        self.models = {torch.float32: fast, torch.float64: replace(fast, kernels=REFERENCE)}
         model, gaussians = self.models[torch.float32], bowl()
         sums = model.render(gaussians, self.view)
         pixels = model.foreground(sums, self.view)[::3]
@@ -50,7 +53,7 @@ class Step:
             view, plan = to_double(view), type(plan)(plan.pixels, to_double(plan.samples), plan.above)
         gaussians = Gaussians(**{name: value for name, value in values.items() if name != "light"})
         sums = model.render(gaussians, view)
-        losses = joint_losses(model, gaussians, values["light"], sums, view, plan, LOW_GLOSS_WEIGHTS, geometry=True)
+        losses = joint_losses(model, gaussians, values["light"], sums, view, plan, WEIGHTS, geometry=True)
         # Normal consistency does not follow its outer opacity (2DGS), which a difference of its values does: that part is taken out.
         outer = sums[-1, 1:-1, 1:-1].sum() / sums[-1].numel()
         if constant:
@@ -87,7 +90,19 @@ def test_the_scene_has_shadow_indirect_light_and_all_losses(step):
     values = {name: value.double() for name, value in step.values.items()}
     losses = step.losses(values)
     assert set(losses) == {
-        *("radiance", "mask", "normal", "normal_smoothness", "albedo", "roughness", "metallic", "pixels", "white_balance", "light")
+        *(
+            "radiance",
+            "mask",
+            "normal",
+            "normal_smoothness",
+            "albedo",
+            "roughness",
+            "metallic",
+            "pixels",
+            "white_balance",
+            "light",
+            "distortion",
+        )
     }
     assert all(float(value) > 0 for value in losses.values())
     assert len(step.plan.pixels) > 10 and len(step.plan.above) > 100
