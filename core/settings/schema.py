@@ -71,6 +71,7 @@ class FirstStageSettings:
     metal_regions: Choice = "auto"  # regions of several layers of points start as metal; auto: by trial fits
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
+    densification: Choice = "auto"  # density control clones and splits; auto: without masks; on: with masks from half of the Gaussians
     # First part of the schedule, after which rays that reflections mirror are traced on the object itself; None: 0.4 for metal; 1: never.
     inter_reflections: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
@@ -212,6 +213,7 @@ PRESETS: dict[str, Settings] = {
             anchor_weight=0.0,
             metal_regions="off",
             open_edges=0.0,
+            densification="on",
             inter_reflections=0.4,
         ),
         # 2^18 rays per iteration, as many per pixel as in high-quality relighting

@@ -39,6 +39,16 @@ def anchors_due(settings: FirstStageSettings, done: int) -> bool:
     return settings.anchor_weight > 0 and done >= ANCHORS_FROM * settings.iterations
 
 
+def densifies(settings: FirstStageSettings, masked: bool) -> bool:
+    """Return True where density control adds Gaussians: a visual hull needs none, sparse points do.
+
+    Args:
+        settings: of the first stage.
+        masked: all photographs have masks.
+    """
+    return settings.densification == "on" or (settings.densification == "auto" and not masked)
+
+
 def inter_reflections_due(settings: FirstStageSettings, done: int) -> bool:
     """Return True at the steps at which inter-reflections are traced anew; never where the setting is None."""
     first = 1.0 if settings.inter_reflections is None else settings.inter_reflections

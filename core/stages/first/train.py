@@ -23,6 +23,7 @@ from .initialization import initial_gaussians
 from .material_class import MaterialClass
 from .material_class_selection import material_class_named, select_material_class
 from .metal_selection import select_metal
+from .schedule import densifies
 from .start_selection import Start, select_start
 from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS
@@ -79,15 +80,16 @@ def train(
     """
     progress = progress or Silent()
     torch.manual_seed(settings.seed)
-    gaussians = initial_gaussians(dataset, settings.first.gaussians, np.random.default_rng(settings.seed)).to(device)
+    begun = _at_start(settings, dataset.has_alpha)
+    gaussians = initial_gaussians(dataset, begun.first.gaussians, np.random.default_rng(settings.seed)).to(device)
     state = checkpoint.load("first_stage") if checkpoint is not None else None
     crop = decide_cropping(dataset, settings, progress)
     if state is not None:
         material_class, start = material_class_named(state.get("kind", ""), dataset), Start(gaussians)
     else:
         progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
-        material_class = select_material_class(dataset, settings, gaussians, progress, crop)
-        start = select_start(dataset, settings, gaussians, material_class, progress, crop)
+        material_class = select_material_class(dataset, begun, gaussians, progress, crop)
+        start = select_start(dataset, begun, gaussians, material_class, progress, crop)
         start = select_metal(dataset, settings, start, material_class, progress, crop)
         settings = replace(settings, first=select_open_edges(dataset, settings, start, material_class, progress, crop))
     # A deadline tells the length of the schedule.
@@ -103,6 +105,12 @@ def train(
     _report_run(trainer, incomplete_images() - before, progress)
     result = estimate_light_albedo(trainer.reconstruction().to("cpu"), settings.seed, dataset.train)
     return result, trainer.settings.iterations / settings.first.iterations
+
+
+def _at_start(settings: Settings, masked: bool) -> Settings:
+    """Return settings with the number of Gaussians at the start: on a hull half of the budget where density control adds the rest."""
+    few = settings.first.gaussians // 2 if masked and densifies(settings.first, masked) else settings.first.gaussians
+    return replace(settings, first=replace(settings.first, gaussians=few))
 
 
 def _trainer(

@@ -35,7 +35,7 @@ from .depth_anchors import DepthAnchors
 from .depth_evidence import rendered_depths
 from .inter_reflections import InterReflections
 from .material_class import GEOMETRY_RATES, MaterialClass, initial_materials
-from .schedule import anchors_due, inter_reflections_due, loss_weights, rays_per_side, sh_degree
+from .schedule import anchors_due, densifies, inter_reflections_due, loss_weights, rays_per_side, sh_degree
 
 START_RADIANCE = 0.5  # of the initial light map, linear
 CHECKPOINT_SECONDS = 30.0  # between two checkpoints
@@ -189,7 +189,7 @@ class Trainer:
         return value
 
     def _control(self, statistics: ScreenStatistics) -> None:
-        """Apply density control in the middle of the schedule; with masks, Gaussians are only pruned."""
+        """Apply density control in the middle of the schedule; where it does not densify, Gaussians are only pruned."""
         settings, fraction = self.settings, self.done / self.settings.iterations
         if not DENSITY_CONTROL_RANGE[0] < fraction < DENSITY_CONTROL_RANGE[1]:
             return
@@ -197,8 +197,9 @@ class Trainer:
         # With masks, every view must have been rendered before a Gaussian counts as unseen.
         period = max(settings.iterations // MAX_DENSITY_CONTROLS, 2 * len(self.training_views) if self.masked else 1)
         if self.density.images >= period:
-            self.density.refine(self.optimizer, self.generator, grow=not self.masked)
-            if self.masked:
+            grows = densifies(settings, self.masked)
+            self.density.refine(self.optimizer, self.generator, grow=grows)
+            if not grows:
                 require_surfels(self.optimizer.gaussians.count, self._initial_count, self.done)
         if not self.masked and self.done % RESET_EVERY == 0:
             reset_opacity(self.optimizer)

@@ -66,6 +66,7 @@ OLD = {
 ADDED = {
     "first.subpixels",
     "first.anchor_weight",
+    "first.densification",
     "first.distortion_weight",
     "first.inter_reflections",
     "first.open_edges",
