@@ -72,7 +72,8 @@ class FirstStageSettings:
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
     densification: Choice = "auto"  # density control clones and splits; auto: without masks; on: with masks from half of the Gaussians
-    # First part of the schedule, after which rays that reflections mirror are traced on the object itself; None: 0.4 for metal; 1: never.
+    # First part of the schedule, after which rays that reflections mirror are traced on the object itself; None: 0.4 for metal; 1:
+    # never, as where the light turns.
     inter_reflections: Annotated[float | None, Range(0, 1)] = None
     mask_weight: Annotated[float, Range(0)] = 0.5  # loss weight: alpha agrees with the mask
     sh_growth: Annotated[float, Range(0, 1)] = 0.6  # fraction of the schedule after which all SH degrees (3) are in use

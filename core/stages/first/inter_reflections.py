@@ -11,13 +11,29 @@ from ...kernels.rasterize import rasterize
 from ...machine.lazy_sequence import LazySequence
 from ...rendering.deferred import surface_pixels
 from ...rendering.secondary_rays import SecondaryTracer
+from ...scene.dataset import Dataset, light_rotations
 from ...scene.gaussians import Gaussians
 from ...scene.reconstruction import Reconstruction
+from ...settings.schema import FirstStageSettings
 from ...shading.split_sum import reflect
 from ..common.training_view import TrainingView
 from ..common.training_view_cache import TrainingViewCache
+from .material_class import MaterialClass
 
 MEMORY = 1 << 30  # bytes of images that are kept
+
+
+def traced_from(settings: FirstStageSettings, material_class: MaterialClass, dataset: Dataset) -> float:
+    """Return the part of the schedule after which mirrored rays are traced, 1 for never.
+
+    Args:
+        settings: of the first stage.
+        material_class: decides where the settings do not; without reflections nothing is traced.
+        dataset: where the light turns with the photographs, one radiance cannot be what all of them mirror.
+    """
+    if not material_class.split_sum or light_rotations(dataset.train) is not None:
+        return 1.0
+    return material_class.inter_reflections if settings.inter_reflections is None else settings.inter_reflections
 
 
 class InterReflections(LazySequence[torch.Tensor]):

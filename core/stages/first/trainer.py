@@ -33,7 +33,7 @@ from .checkpoint_state import invalid_checkpoint, state_fits
 from .densification import DensityControl, require_surfels, reset_opacity
 from .depth_anchors import DepthAnchors
 from .depth_evidence import rendered_depths
-from .inter_reflections import InterReflections
+from .inter_reflections import InterReflections, traced_from
 from .material_class import GEOMETRY_RATES, MaterialClass, initial_materials
 from .schedule import anchors_due, densifies, inter_reflections_due, loss_weights, rays_per_side, sh_degree
 
@@ -93,8 +93,7 @@ class Trainer:
             metal: (N,) bool, surfels that start with the materials of METAL instead; None for none.
         """
         self.anchors, self.inter_reflections = anchors, None
-        if settings.inter_reflections is None:
-            settings = replace(settings, inter_reflections=material_class.inter_reflections)
+        settings = replace(settings, inter_reflections=traced_from(settings, material_class, dataset))
         self.dataset, self.settings, self.material_class = dataset, settings, material_class
         views = torch.arange(len(dataset.train))
         self.held_back = views % hold_back == hold_back // 2 if hold_back else views < 0
@@ -148,7 +147,7 @@ class Trainer:
         """Do one step on one view and return its loss; on a GPU, that of the last step at which the host read it."""
         if self.anchors is not None and anchors_due(self.settings, self.done) and not self.anchors.chosen:
             self.anchors = self.anchors.choose(self.dataset, rendered_depths(self.optimizer.gaussians, self.dataset))
-        if self.material_class.split_sum and inter_reflections_due(self.settings, self.done):
+        if inter_reflections_due(self.settings, self.done):
             self.inter_reflections = InterReflections(self.reconstruction(), self.training_views)
         index = self._next_view()
         view = self.training_views[index].to(self.device)

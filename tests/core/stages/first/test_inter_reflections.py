@@ -12,7 +12,8 @@ from irgspp.core.scene.gaussians import surfels
 from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.schema import FirstStageSettings
 from irgspp.core.stages.common.training_view import TrainingView, camera_rays
-from irgspp.core.stages.first.inter_reflections import InterReflections
+from irgspp.core.stages.first.inter_reflections import InterReflections, traced_from
+from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL
 from irgspp.core.stages.first.schedule import RENEWALS, inter_reflections_due
 
 pytestmark = pytest.mark.usefixtures("engine")
@@ -82,6 +83,16 @@ def test_images_come_from_the_copy_that_a_state_holds(corner, view):
     again = InterReflections.of_state(first.state(), corner, [view])
     assert torch.equal(first[0], again[0])
     assert torch.equal(first[0], first.along(view))
+
+
+def test_objects_of_metal_are_traced_unless_the_settings_or_a_turning_light_forbid_it(sphere_dataset, camera_ring):
+    dataset, settings = sphere_dataset(camera_ring(3, 32)), FirstStageSettings()
+    assert traced_from(settings, METAL, dataset) == METAL.inter_reflections < 1
+    assert traced_from(settings, GLOSSY, dataset) == 1 == traced_from(replace(settings, inter_reflections=1.0), METAL, dataset)
+    asked = replace(settings, inter_reflections=0.2)
+    assert traced_from(asked, GLOSSY, dataset) == 0.2 and traced_from(asked, LOW_GLOSS, dataset) == 1
+    turning = replace(dataset, train=[replace(view, light_rotation=np.eye(3)) for view in dataset.train])
+    assert traced_from(asked, METAL, turning) == 1
 
 
 def test_they_are_traced_anew_ten_times_in_a_whole_schedule():
