@@ -7,7 +7,7 @@ from ..irgspp_addon.translations import translated
 
 STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
     ("Reading photographs and masks", ("read images", "quick fit")),
-    ("Choosing the material class and the start", ("materials", "stereo", "start", "metal", "edges")),
+    ("Choosing the material class and the start", ("materials", "stereo", "start", "metal", "spheres", "edges")),
     ("Fitting shape and radiance", ("first stage",)),
     ("Extracting the surface", ("fuse",)),
     ("Solving for light and materials", ("trace", "second stage", "normals", "turn surfels", "paint", "refine", "radiance", "joint")),
@@ -33,6 +33,7 @@ SHARES = {
     "stereo": 5,
     "start": 2,
     "metal": 2,
+    "spheres": 1,
     "edges": 3,
     "first stage": 47,
     "fuse": 4,

@@ -73,7 +73,7 @@ class DepthAnchors:
         evidence = DepthEvidence.collect(dataset.train, dataset.bound, (depths, stereo), sources, StereoSettings().relative_depth)
         typical, kept = evidence.typical_error(), []
         for i, (view, own) in enumerate(zip(dataset.train, depths, strict=True)):
-            pixel, depth = self._of(i)
+            pixel, depth = self.of_view(i)
             rays = view.camera.rays().reshape(-1, 3)[pixel].astype(np.float64)
             points = view.camera.centre + depth[:, None].numpy() * rays
             better = (evidence.ratio(points) < MAX_ERROR_RATIO) & (evidence.error(points) < typical)
@@ -84,14 +84,14 @@ class DepthAnchors:
         keep = torch.from_numpy(np.concatenate(kept))
         return replace(self, begin=torch.from_numpy(begin), pixel=self.pixel[keep], depth=self.depth[keep], chosen=True)
 
-    def _of(self, view: int) -> tuple[torch.Tensor, torch.Tensor]:
+    def of_view(self, view: int) -> tuple[torch.Tensor, torch.Tensor]:
         """Return pixels (K,) int64 and depths (K,) of a view's anchors."""
         part = slice(int(self.begin[view]), int(self.begin[view + 1]))
         return self.pixel[part].long(), self.depth[part]
 
     def _filled(self, view: int, depth: np.ndarray) -> np.ndarray:
         """Return a copy of a view's depth (H, W) with the anchors' depths where it has any."""
-        pixel, anchored = self._of(view)
+        pixel, anchored = self.of_view(view)
         copy = depth.reshape(-1).copy()
         copy[pixel] = np.where(copy[pixel] > 0, anchored, 0)
         return copy.reshape(depth.shape)
@@ -105,7 +105,7 @@ class DepthAnchors:
             camera: camera of the rendered image, which may be cropped.
             full: camera of the uncropped photograph.
         """
-        pixel, anchored = (part.to(sums.device) for part in self._of(view))
+        pixel, anchored = (part.to(sums.device) for part in self.of_view(view))
         row = pixel // full.width - round(full.cy - camera.cy)
         column = pixel % full.width - round(full.cx - camera.cx)
         depth = sums[-2, row, column] / sums[-1, row, column].clamp_min(MIN_OPACITY)
@@ -126,7 +126,7 @@ class DepthAnchors:
         fits = fits and one.begin.shape == (views + 1,) and one.pixel.shape == one.depth.shape == (count,)
         fits = fits and bool((one.begin.diff() >= 0).all()) and one.begin[[0, -1]].tolist() == [0, count]
         fits = fits and bool(((one.witnesses >= -1) & (one.witnesses < views)).all() and (one.depth > 0).all())
-        if not fits or any(not _inside(one._of(i)[0], view.camera) for i, view in enumerate(dataset.train)):
+        if not fits or any(not _inside(one.of_view(i)[0], view.camera) for i, view in enumerate(dataset.train)):
             raise ValueError("anchors of other views")
         return one
 

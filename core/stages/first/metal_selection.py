@@ -20,7 +20,7 @@ from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials, with_finer_trials
 
 # A region's squared error without metal over that with it, on held-back views, from which it begins as metal: 1 dB. On ten
-# objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a ball that stereo sees too deep and a belt do not, and some 40
+# objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a ball that stereo sees too deep (see `select_spheres`) and a belt do not, and some 40
 # regions of other materials gain at most 0.9 dB.
 MIN_ERROR_RATIO = 1.25
 VISIBLE = 0.03  # radii of the bound by which a region's points may lie behind the rendered depth and still count as seen
@@ -51,7 +51,7 @@ def select_metal(
     Raises:
         Cancelled: the user stopped the work.
     """
-    reason = _reason_against(dataset, settings, material_class)
+    reason = reason_against_metal(dataset, settings, material_class)
     if reason:
         progress.decided("metal_regions", False, reason)
         return start
@@ -102,11 +102,11 @@ def _trial(
     with_metal = prepare_trial(dataset, both, start.gaussians, material_class, crop, metal)
     progress.phase("metal", settings.first.trial_iterations)
     run_trials({"as its class": without, "as metal": with_metal}, both, progress)
-    pairs = zip(_region_errors(without, without, points, regions), _region_errors(with_metal, without, points, regions), strict=True)
+    pairs = zip(region_errors(without, without, points, regions), region_errors(with_metal, without, points, regions), strict=True)
     return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in pairs]
 
 
-def _region_errors(fit: Trainer, shape: Trainer, points: np.ndarray, regions: list[np.ndarray]) -> np.ndarray:
+def region_errors(fit: Trainer, shape: Trainer, points: np.ndarray, regions: list[np.ndarray]) -> np.ndarray:
     """Return the sum of squared errors (R,) of a trial fit over the pixels of held-back views that show a region; 0 for too few pixels.
 
     Args:
@@ -139,8 +139,14 @@ def _pixels(points: np.ndarray, camera: Camera, limit: np.ndarray) -> np.ndarray
     return shown
 
 
-def _reason_against(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:
-    """Return the reason why no region is tried, empty where there is none."""
+def reason_against_metal(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:
+    """Return the reason why no region is tried as metal, empty where there is none.
+
+    Args:
+        dataset: views.
+        settings: settings of the job.
+        material_class: class of the object.
+    """
     if settings.first.metal_regions == "off":
         return "as set"
     if not dataset.has_alpha:

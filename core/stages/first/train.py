@@ -24,6 +24,7 @@ from .material_class import MaterialClass
 from .material_class_selection import material_class_named, select_material_class
 from .metal_selection import select_metal
 from .schedule import densifies
+from .sphere_selection import select_spheres
 from .start_selection import Start, select_start
 from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS
@@ -91,6 +92,7 @@ def train(
         material_class = select_material_class(dataset, begun, gaussians, progress, crop)
         start = select_start(dataset, begun, gaussians, material_class, progress, crop)
         start = select_metal(dataset, settings, start, material_class, progress, crop)
+        start = select_spheres(dataset, settings, start, material_class, progress, crop)
         settings = replace(settings, first=select_open_edges(dataset, settings, start, material_class, progress, crop))
     # A deadline tells the length of the schedule.
     schedule = scaled_iterations(1.0 if deadline is not None else material_class.schedule, settings.first.iterations)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Sphere selection: regions of virtual images that begin as balls of metal, where trial fits then predict the photographs better."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...progress.protocol import Progress
+from ...scene.dataset import Dataset
+from ...settings.schema import Settings
+from .layered_regions import layered_regions
+from .material_class import MaterialClass
+from .metal_selection import MIN_ERROR_RATIO, reason_against_metal, region_errors
+from .mirror_sphere import MIN_SURFELS, MirrorSphere, mirror_sphere, moved_onto
+from .start_selection import Start
+from .trial_fits import prepare_trial, run_trials, with_finer_trials
+
+
+def select_spheres(
+    dataset: Dataset, settings: Settings, start: Start, material_class: MaterialClass, progress: Progress, crop: bool = False
+) -> Start:
+    """Select the regions of the start that begin as balls of metal.
+
+    The first stage does not leave the virtual images that stereo sees in a ball. Candidates are spheres in the hull of regions whose
+    points lie in several layers. One trial fit has the start as it is, another has surfels on all spheres, as metal; each is compared
+    where held-back views show it.
+
+    Args:
+        dataset: views.
+        settings: settings of the job; `first.metal_regions` decides without evidence where it is "on" or "off".
+        start: what the first stage starts with.
+        material_class: class of the object.
+        progress: receives steps and the decision, and may cancel.
+        crop: crop the images of the trial fits to the object.
+
+    Returns:
+        The start with surfels moved onto the chosen spheres, and these as metal.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    reason = reason_against_metal(dataset, settings, material_class) or ("" if start.anchors else "the start has no depths of stereo")
+    spheres = [] if reason else _candidates(dataset, start)
+    if not spheres:
+        progress.decided("mirror_spheres", False, reason or "no region whose points lie in several layers is a ball")
+        return start
+    found, chosen = f"{len(spheres)} balls around regions whose points lie in several layers", spheres
+    if settings.first.metal_regions == "on":
+        evidence = f"{found}, as set"
+    else:
+        gains = _trial(dataset, settings, start, material_class, spheres, progress, crop)
+        chosen = [sphere for sphere, gain in zip(spheres, gains, strict=True) if gain > MIN_ERROR_RATIO]
+        evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
+    progress.decided("mirror_spheres", bool(chosen), evidence)
+    return with_spheres(start, chosen) if chosen else start
+
+
+def with_spheres(start: Start, spheres: Sequence[MirrorSphere]) -> Start:
+    """Return a start with its surfels in spheres moved onto them, as metal.
+
+    Args:
+        start: what the first stage starts with.
+        spheres: at least one.
+    """
+    points, device = start.gaussians.position.T.double().cpu().numpy(), start.gaussians.position.device
+    metal = torch.from_numpy(np.any([sphere.holds(points) for sphere in spheres], 0)).to(device)
+    return replace(start, gaussians=moved_onto(start.gaussians, spheres), metal=metal if start.metal is None else metal | start.metal)
+
+
+def _candidates(dataset: Dataset, start: Start) -> list[MirrorSphere]:
+    """Return the spheres of the regions whose points lie in several layers."""
+    assert start.anchors is not None
+    points, radius = start.gaussians.position.T.double().cpu().numpy(), dataset.bound.radius
+    regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), radius)
+    spheres = [mirror_sphere(dataset.train, start.anchors, points[region], radius) for region in regions]
+    return [sphere for sphere in spheres if sphere is not None and sphere.holds(points).sum() >= MIN_SURFELS]
+
+
+def _trial(
+    dataset: Dataset,
+    settings: Settings,
+    start: Start,
+    material_class: MaterialClass,
+    spheres: list[MirrorSphere],
+    progress: Progress,
+    crop: bool,
+) -> list[float]:
+    """Return the error of each sphere's pixels as the start is over that with spheres, by two trial fits; 1 where they hardly show it.
+
+    Args:
+        dataset: views.
+        settings: settings of the job.
+        start: what the first stage starts with.
+        material_class: class of the object.
+        spheres: at least one.
+        progress: receives steps, and may cancel.
+        crop: crop the images to the object.
+    """
+    finer, moved = with_finer_trials(settings), with_spheres(start, spheres)
+    both = replace(finer, first=replace(finer.first, open_edges=0.0), skip=replace(finer.skip, trials="off"))
+    before = prepare_trial(dataset, both, start.gaussians, material_class, crop, start.metal)
+    after = prepare_trial(dataset, both, moved.gaussians, material_class, crop, moved.metal)
+    progress.phase("spheres", settings.first.trial_iterations)
+    run_trials({"as it is": before, "as balls": after}, both, progress)
+    points = moved.gaussians.position.T.double().cpu().numpy()
+    held = [sphere.holds(points) for sphere in spheres]
+    pairs = zip(region_errors(before, after, points, held), region_errors(after, after, points, held), strict=True)
+    return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in pairs]
