@@ -20,8 +20,8 @@ from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, run_trials, with_finer_trials
 
 # A region's squared error without metal over that with it, on held-back views, from which it begins as metal: 1 dB. On ten
-# objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a ball that stereo sees too deep (see `select_spheres`) and a belt do not, and some 40
-# regions of other materials gain at most 0.9 dB.
+# objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a belt and a ball that stereo sees too deep (see
+# `select_spheres`) do not, and some 40 regions of other materials gain at most 0.9 dB.
 MIN_ERROR_RATIO = 1.25
 VISIBLE = 0.03  # radii of the bound by which a region's points may lie behind the rendered depth and still count as seen
 MIN_OPACITY = 0.5  # opacity from which a pixel has a depth
