@@ -21,24 +21,26 @@ def entered(camera, centre, radius, far=False):
     return np.where(root > 0, (-b + (1 if far else -1) * np.sqrt(np.maximum(root, 0))) / a, np.nan)
 
 
+def seen(cameras, depths):
+    """Views without pictures, and the anchors of a stereo that knows their planar depths (H, W), NaN for none."""
+    views = [View("0", camera, Path("0.png"), np.zeros((camera.height, camera.width, 3), np.float32), None) for camera in cameras]
+    pixels = [np.flatnonzero(np.isfinite(depth)) for depth in depths]
+    begin = torch.from_numpy(np.cumsum([0, *(len(pixel) for pixel in pixels)]))
+    depth = np.concatenate([one.reshape(-1)[pixel] for one, pixel in zip(depths, pixels, strict=True)]).astype(np.float32)
+    joined = torch.from_numpy(np.concatenate(pixels).astype(np.int32)), torch.from_numpy(depth)
+    return views, DepthAnchors(begin, *joined, torch.full((len(views), COMPARED_VIEWS), -1))
+
+
 @pytest.fixture
 def scene(camera_ring):
     """Views of a shell's inner side and of images in a ball, on a sphere of three quarters of its radius; and the region of the images."""
-    views, pixels, depths, region = [], [], [], []
-    for camera in camera_ring(24, 96):
+    cameras, depths, region = camera_ring(24, 96), [], []
+    for camera in cameras:
         ball, shell = entered(camera, CENTRE, RADIUS), entered(camera, np.zeros(3), SHELL, far=True)
         image = entered(camera, CENTRE, 0.75 * RADIUS)
-        depth = np.where(np.isfinite(ball), image, shell)
-        pixel = np.flatnonzero(np.isfinite(depth))
-        shown = np.isfinite(image)
-        region.append((camera.centre + camera.rays() * image[..., None])[shown])
-        views.append(View("0", camera, Path("0.png"), np.zeros((*depth.shape, 3), np.float32), None))
-        pixels.append(pixel.astype(np.int32))
-        depths.append(depth.reshape(-1)[pixel].astype(np.float32))
-    begin = torch.from_numpy(np.cumsum([0, *(len(pixel) for pixel in pixels)]))
-    joined = torch.from_numpy(np.concatenate(pixels)), torch.from_numpy(np.concatenate(depths))
-    anchors = DepthAnchors(begin, *joined, torch.full((len(views), COMPARED_VIEWS), -1))
-    return views, anchors, np.concatenate(region)
+        depths.append(np.where(np.isfinite(ball), image, shell))
+        region.append((camera.centre + camera.rays() * image[..., None])[np.isfinite(image)])
+    return *seen(cameras, depths), np.concatenate(region)
 
 
 def test_the_ball_is_found_from_images_inside_it(scene):
@@ -56,21 +58,15 @@ def test_nothing_is_a_ball_where_no_view_sees_behind_it(scene):
 
 def test_a_sheet_is_no_ball(camera_ring):
     """Two layers of a plate in front of a shell: its hull is a plate."""
-    views, pixels, depths = [], [], []
-    steps = np.linspace(-0.4, 0.4, 60)
+    steps, cameras, depths = np.linspace(-0.4, 0.4, 60), camera_ring(24, 96), []
     plate = np.stack(np.meshgrid(steps, steps, [-0.02, 0.02]), -1).reshape(-1, 3)
-    for camera in camera_ring(24, 96):
+    for camera in cameras:
         rays = camera.rays().astype(float)
-        at = camera.centre + rays * (-camera.centre[2] / rays[..., 2])[..., None]
-        on_plate = (np.abs(at[..., :2]) < 0.4).all(-1) & (rays[..., 2] * camera.centre[2] < 0)
-        depth = np.where(on_plate, -camera.centre[2] / rays[..., 2], entered(camera, np.zeros(3), SHELL, far=True))
-        pixel = np.flatnonzero(np.isfinite(depth))
-        views.append(View("0", camera, Path("0.png"), np.zeros((*depth.shape, 3), np.float32), None))
-        pixels.append(pixel.astype(np.int32))
-        depths.append(depth.reshape(-1)[pixel].astype(np.float32))
-    begin = torch.from_numpy(np.cumsum([0, *(len(pixel) for pixel in pixels)]))
-    joined = torch.from_numpy(np.concatenate(pixels)), torch.from_numpy(np.concatenate(depths))
-    anchors = DepthAnchors(begin, *joined, torch.full((len(views), COMPARED_VIEWS), -1))
+        distance = -camera.centre[2] / rays[..., 2]
+        at = camera.centre + rays * distance[..., None]
+        on_plate = (np.abs(at[..., :2]) < 0.4).all(-1) & (distance > 0)
+        depths.append(np.where(on_plate, distance, entered(camera, np.zeros(3), SHELL, far=True)))
+    views, anchors = seen(cameras, depths)
     assert mirror_sphere(views, anchors, plate, 1.0) is None
 
 
