@@ -28,7 +28,9 @@ DIRECTIONS, STEPS = 4000, 200  # rays from the centre to the end of the hull, an
 REACH = 0.01, 0.5  # first and last step, radii of the bound; the centre is at most as far from the region's
 FITS, ROUNDS = 4, 50  # of the centre, each with the hull seen from the one before; rounds of a robust fit
 TOLERANCE = 0.08  # radii of the sphere at which a ray's end counts half
-MIN_INLIERS = 0.6  # fraction of the rays' ends that count more than half: .78 for a ball, .2 to .4 for five regions of other shapes
+# Fraction of the rays' ends that count more than half: .78 for a ball. It spares trials of most other shapes, which have .2 to .4; trial
+# fits reject those that pass, nine on five objects.
+MIN_INLIERS = 0.6
 MIN_ENDS = 200  # rays that end within their reach
 SIZES = 0.02, 0.5  # least and largest radius, radii of the bound
 WITHIN = 1.05  # radii of the sphere around which surfels belong to it

@@ -7,6 +7,9 @@ import pytest
 import torch
 from irgspp.core.errors import IrgsppError
 from irgspp.core.kernels.rasterize import ScreenStatistics
+from irgspp.core.progress.protocol import Silent
+from irgspp.core.settings.overrides import with_overrides
+from irgspp.core.settings.schema import preset
 from irgspp.core.stages.common.optimizer import GaussianOptimizer, Rate
 from irgspp.core.stages.first.densification import (
     PRUNE_OPACITY,
@@ -16,6 +19,7 @@ from irgspp.core.stages.first.densification import (
     require_surfels,
     reset_opacity,
 )
+from irgspp.core.stages.first.train import train
 
 COUNT = 200
 RATES = {"position": Rate(1e-3), "opacity": Rate(1e-2)}
@@ -119,3 +123,20 @@ def test_a_hull_that_falls_apart_is_one_clear_line():
     require_surfels(170, 400, 7)
     with pytest.raises(IrgsppError, match="only 150 of 400 surfels that the fit started with are left at iteration 7"):
         require_surfels(150, 400, 7)
+
+
+@pytest.mark.parametrize(("choice", "least", "most"), [("on", 250, 400), ("auto", 380, 400), ("off", 380, 400)])
+def test_density_control_adds_surfels_to_a_hull_where_the_settings_ask_for_it(sphere_dataset, camera_ring, choice, least, most):
+    """On: the fit starts with half of the 400, and grows; else a hull has all from the start."""
+    dataset, starts = sphere_dataset(camera_ring(9, 32)), []
+
+    class Watcher(Silent):
+        def shape(self, sample, at_once=False):
+            starts.append(len(sample()["position"]))
+
+    few = "materials=low-gloss", "first.stereo=off", "first.open_edges=0", "first.light_height=16"
+    sizes = "first.iterations=100", "first.gaussians=400"
+    chosen = with_overrides(preset("draft"), [*few, *sizes, f"first.densification={choice}"])
+    fitted, _ = train(dataset, chosen, Watcher())
+    assert starts[0] == (200 if choice == "on" else 400)
+    assert least <= fitted.gaussians.count <= most

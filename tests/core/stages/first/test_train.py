@@ -336,20 +336,3 @@ def test_first_part_of_the_schedule_renders_single_rays(sphere_dataset, camera_r
 def test_metal_takes_a_longer_schedule(sphere_dataset, camera_ring, monkeypatch, material_class, scale):
     monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *args: material_class)
     assert train(sphere_dataset(camera_ring(9, 32)), settings("first.iterations=6"))[1] == scale
-
-
-@pytest.mark.parametrize(("choice", "least", "most"), [("on", 250, 400), ("auto", 380, 400), ("off", 380, 400)])
-def test_density_control_adds_surfels_to_a_hull_where_the_settings_ask_for_it(sphere_dataset, camera_ring, choice, least, most):
-    """On: the fit starts with half of the 400, and grows; else a hull has all from the start."""
-    dataset, starts = sphere_dataset(camera_ring(9, 32)), []
-
-    class Watcher(Silent):
-        def shape(self, sample, at_once=False):
-            starts.append(len(sample()["position"]))
-
-    chosen = settings(
-        "materials=low-gloss", "first.stereo=off", "first.iterations=100", "first.gaussians=400", f"first.densification={choice}"
-    )
-    fitted, _ = train(dataset, chosen, Watcher())
-    assert starts[0] == (200 if choice == "on" else 400)
-    assert least <= fitted.gaussians.count <= most
