@@ -15,10 +15,10 @@ from ...scene.dataset import Dataset
 from ...settings.schema import Settings
 from .layered_regions import layered_regions
 from .material_class import MaterialClass
-from .metal_selection import MIN_ERROR_RATIO, reason_against_metal, region_errors
+from .metal_selection import MIN_ERROR_RATIO, reason_against_metal
 from .mirror_sphere import MIN_SURFELS, MirrorSphere, mirror_sphere, moved_onto
+from .region_trial import region_gains
 from .start_selection import Start
-from .trial_fits import prepare_trial, run_trials, with_finer_trials
 
 
 def select_spheres(
@@ -53,7 +53,11 @@ def select_spheres(
     if settings.first.metal_regions == "on":
         evidence = f"{found}, as set"
     else:
-        gains = _trial(dataset, settings, start, material_class, spheres, progress, crop)
+        moved = with_spheres(start, spheres)
+        points = moved.gaussians.position.T.double().cpu().numpy()
+        held = [sphere.holds(points) for sphere in spheres]
+        progress.phase("spheres", settings.first.trial_iterations)
+        gains = region_gains(dataset, settings, (start, moved), 1, material_class, held, progress, crop)
         chosen = [sphere for sphere, gain in zip(spheres, gains, strict=True) if gain > MIN_ERROR_RATIO]
         evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
     progress.decided("mirror_spheres", bool(chosen), evidence)
@@ -79,35 +83,3 @@ def _candidates(dataset: Dataset, start: Start) -> list[MirrorSphere]:
     regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), radius)
     spheres = [mirror_sphere(dataset.train, start.anchors, points[region], radius) for region in regions]
     return [sphere for sphere in spheres if sphere is not None and sphere.holds(points).sum() >= MIN_SURFELS]
-
-
-def _trial(
-    dataset: Dataset,
-    settings: Settings,
-    start: Start,
-    material_class: MaterialClass,
-    spheres: list[MirrorSphere],
-    progress: Progress,
-    crop: bool,
-) -> list[float]:
-    """Return the error of each sphere's pixels as the start is over that with spheres, by two trial fits; 1 where they hardly show it.
-
-    Args:
-        dataset: views.
-        settings: settings of the job.
-        start: what the first stage starts with.
-        material_class: class of the object.
-        spheres: at least one.
-        progress: receives steps, and may cancel.
-        crop: crop the images to the object.
-    """
-    finer, moved = with_finer_trials(settings), with_spheres(start, spheres)
-    both = replace(finer, first=replace(finer.first, open_edges=0.0), skip=replace(finer.skip, trials="off"))
-    before = prepare_trial(dataset, both, start.gaussians, material_class, crop, start.metal)
-    after = prepare_trial(dataset, both, moved.gaussians, material_class, crop, moved.metal)
-    progress.phase("spheres", settings.first.trial_iterations)
-    run_trials({"as it is": before, "as balls": after}, both, progress)
-    points = moved.gaussians.position.T.double().cpu().numpy()
-    held = [sphere.holds(points) for sphere in spheres]
-    pairs = zip(region_errors(before, after, points, held), region_errors(after, after, points, held), strict=True)
-    return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in pairs]

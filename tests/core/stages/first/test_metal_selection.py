@@ -10,7 +10,7 @@ from irgspp.core.errors import Cancelled
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import metal_selection
+from irgspp.core.stages.first import metal_selection, region_trial
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL
 from irgspp.core.stages.first.metal_selection import select_metal
@@ -38,12 +38,12 @@ def halves(scene, monkeypatch):
 
 @pytest.fixture
 def no_trials(monkeypatch):
-    monkeypatch.setattr(metal_selection, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((1.3, 1.1), [0]), ((1.1, 1.3), [1]), ((2.0, 1.3), [0, 1]), ((1.2, 0.1), [])])
 def test_held_back_views_decide_on_each_region(scene, halves, monkeypatch, gains, chosen):
-    monkeypatch.setattr(metal_selection, "_trial", lambda *_: list(gains))
+    monkeypatch.setattr(metal_selection, "region_gains", lambda *_: list(gains))
     progress = RecordedDecisions()
     start = select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress)
     on, evidence = progress.found["metal_regions"]
@@ -91,8 +91,8 @@ def test_no_trial_without_layers(scene, no_trials):
 
 def test_trial_fits_differ_in_the_metal_alone(scene, halves, monkeypatch):
     fits, progress = {}, RecordedDecisions()
-    run = metal_selection.run_trials
-    monkeypatch.setattr(metal_selection, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
+    run = region_trial.run_trials
+    monkeypatch.setattr(region_trial, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
     settings = with_overrides(SETTINGS, ["first.open_edges=0.5"])
     select_metal(scene[0], settings, scene[1], GLOSSY, progress)
     assert progress.phases == [("metal", 4)]

@@ -7,7 +7,7 @@ import torch
 from irgspp.core.errors import Cancelled
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import sphere_selection
+from irgspp.core.stages.first import region_trial, sphere_selection
 from irgspp.core.stages.first.depth_anchors import COMPARED_VIEWS, DepthAnchors
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, METAL
@@ -48,7 +48,7 @@ def ball(monkeypatch):
 
 @pytest.mark.parametrize(("gain", "chosen"), [(1.3, True), (1.2, False)])
 def test_held_back_views_decide(scene, ball, monkeypatch, gain, chosen):
-    monkeypatch.setattr(sphere_selection, "_trial", lambda *_: [gain])
+    monkeypatch.setattr(sphere_selection, "region_gains", lambda *_: [gain])
     progress = RecordedDecisions()
     start = select_spheres(scene[0], SETTINGS, scene[1], GLOSSY, progress)
     evidence = f"{int(chosen)} of 1 balls around regions whose points lie in several layers; held-back views: {10 * np.log10(gain):+.1f} dB"
@@ -63,7 +63,7 @@ def test_held_back_views_decide(scene, ball, monkeypatch, gain, chosen):
 
 
 def test_balls_are_taken_as_set_without_a_trial(scene, ball, monkeypatch):
-    monkeypatch.setattr(sphere_selection, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
     start = select_spheres(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), scene[1], GLOSSY, RecordedDecisions())
     assert start.metal.any()
 
@@ -79,7 +79,7 @@ def test_balls_are_taken_as_set_without_a_trial(scene, ball, monkeypatch):
     ],
 )
 def test_nothing_is_a_ball_where_none_can_be_found(scene, ball, monkeypatch, choice, material_class, anchored, sphere):
-    monkeypatch.setattr(sphere_selection, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
     monkeypatch.setattr(sphere_selection, "mirror_sphere", lambda *_: sphere)
     start, progress = scene[1] if anchored else Start(scene[1].gaussians), RecordedDecisions()
     settings = with_overrides(SETTINGS, [f"first.metal_regions={choice}"])

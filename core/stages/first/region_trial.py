@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Region trial: two starts of the first stage are fitted briefly, and compared region by region on held-back views."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from ...progress.protocol import Progress
+from ...scene.camera import Camera
+from ...scene.dataset import Dataset
+from ...settings.schema import Settings
+from .material_class import MaterialClass
+from .start_selection import Start
+from .trainer import Trainer
+from .trial_fits import prepare_trial, run_trials, with_finer_trials
+
+VISIBLE = 0.03  # radii of the bound by which a region's points may lie behind the rendered depth and still count as seen
+MIN_OPACITY = 0.5  # opacity from which a pixel has a depth
+MIN_PIXELS = 30  # of held-back views that must show a region
+
+
+def region_gains(
+    dataset: Dataset,
+    settings: Settings,
+    starts: tuple[Start, Start],
+    shape: int,
+    material_class: MaterialClass,
+    regions: Sequence[np.ndarray],
+    progress: Progress,
+    crop: bool,
+) -> list[float]:
+    """Return the squared error of each region from the first start over that from the second; 1 where held-back views hardly show it.
+
+    Args:
+        dataset: views.
+        settings: settings of the job.
+        starts: what is compared, with the same number of surfels.
+        shape: 0 or 1, the start whose surfels, and whose fit's depth, tell which pixels show a region.
+        material_class: class of the object.
+        regions: masks (N,) bool of that start's surfels, at least one.
+        progress: receives steps, and may cancel.
+        crop: crop the images to the object.
+
+    Raises:
+        Cancelled: the user stopped the work.
+    """
+    finer = with_finer_trials(settings)
+    # Both fits go on to the end, however far one is behind elsewhere.
+    both = replace(finer, first=replace(finer.first, open_edges=0.0), skip=replace(finer.skip, trials="off"))
+    fits = [prepare_trial(dataset, both, start.gaussians, material_class, crop, start.metal) for start in starts]
+    run_trials({"first": fits[0], "second": fits[1]}, both, progress)
+    points = starts[shape].gaussians.position.T.double().cpu().numpy()
+    first, second = (_region_errors(fit, fits[shape], points, regions) for fit in fits)
+    return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in zip(first, second, strict=True)]
+
+
+def _region_errors(fit: Trainer, shape: Trainer, points: np.ndarray, regions: Sequence[np.ndarray]) -> np.ndarray:
+    """Return the sum of squared errors (R,) of a trial fit over the pixels of held-back views that show a region; 0 for too few pixels.
+
+    Args:
+        fit: trial fit.
+        shape: trial fit whose depth tells which points are seen, the same for all that are compared.
+        points: (N, 3) of the start, world.
+        regions: masks (N,) bool.
+    """
+    errors, pixels = np.zeros(len(regions)), np.zeros(len(regions), int)
+    for index in torch.nonzero(fit.held_back)[:, 0].tolist():
+        view = fit.training_views[index].to(fit.device)
+        with torch.no_grad():
+            error = (fit.render(view)[0].clamp(0, 1) - view.image).square().mean(0).cpu().numpy()
+            depth, alpha = shape.render(view)[1][-2:].cpu().numpy()
+        limit = np.where(alpha > MIN_OPACITY, depth / np.maximum(alpha, MIN_OPACITY) + VISIBLE * fit.dataset.bound.radius, 0)
+        for number, region in enumerate(regions):
+            shown = _pixels(points[region], view.camera, limit)
+            errors[number] += error[shown].sum()
+            pixels[number] += shown.sum()
+    return np.where(pixels >= MIN_PIXELS, errors, 0.0)
+
+
+def _pixels(points: np.ndarray, camera: Camera, limit: np.ndarray) -> np.ndarray:
+    """Return the pixels (H, W) bool at which a camera shows some of the points (N, 3): they are nearer than the depth `limit` (H, W)."""
+    pixel, distance = camera.project(points)
+    inside = camera.in_image(pixel, distance)
+    column, row = pixel[inside].astype(int).T
+    near, shown = distance[inside] < limit[row, column], np.zeros(limit.shape, bool)
+    shown[row[near], column[near]] = True
+    return shown
