@@ -29,6 +29,7 @@ from ...settings.schema import Settings
 from ...surface.extraction import coarser
 from ..common.finite_check import require_finite
 from ..common.time_budget import scaled_iterations
+from .held_back import without_held_back
 from .joint.solve import optimise_jointly, refine_jointly
 from .metal import is_mostly_metal
 from .normals.normal_alignment import align_normals
@@ -115,7 +116,8 @@ def solve_in_closed_form(
 ) -> SecondStageResult:
     """Solve for materials and environment light, align the surfels' normals, and fit the radiance again to them.
 
-    Positions, scales and opacities do not change; surfels are added where no view sees the surface. See `solve_second_stage`.
+    Positions, scales and opacities do not change; surfels are added where no view sees the surface. Views that judge a refinement are
+    left out of all that comes before it (`held_back`). See `solve_second_stage`.
 
     Args:
         reconstruction: result of the first stage.
@@ -127,14 +129,16 @@ def solve_in_closed_form(
     """
     reconstruction = _with_unseen_surface(reconstruction, surface, dataset, settings.seed, progress)
     reconstruction = _with_aligned_normals(reconstruction, surface, settings)
+    judges = settings.second.iterations > 0 or settings.second.solver == "closed+joint"
+    seen = without_held_back(dataset) if judges else dataset
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
-    solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), dataset, settings, progress)
+    solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), seen, settings, progress)
     metal = _is_metal(reconstruction, solver)
     if not metal:
         on_step = partial(report_step, progress)
-        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, dataset, settings, progress, on_step)
+        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, seen, settings, progress, on_step)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
-    starts = [_with_solved_materials(reconstruction, surface, solver, tracer, dataset, settings, progress)]
+    starts = [_with_solved_materials(reconstruction, surface, solver, tracer, seen, settings, progress)]
     if reconstruction.has_split_sum and solver.is_mostly_metal:
         starts = metal_starts(reconstruction, starts[0], solver)
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline, None if metal else surface)

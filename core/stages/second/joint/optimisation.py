@@ -27,7 +27,8 @@ from ...common.light_map import resized_light
 from ...common.optimizer import GaussianOptimizer, Rate
 from ...common.training_view import make_training_view
 from ...common.view_order import next_view
-from ..refinement.refinement import HOLD_BACK, MIN_RADIANCE, TEST_PIXELS, TEST_SAMPLES, split_samples
+from ..held_back import held_back
+from ..refinement.refinement import MIN_RADIANCE, TEST_PIXELS, TEST_SAMPLES, split_samples
 from .losses import LOW_GLOSS_WEIGHTS, NORMALS_FROM, Weights, joint_losses
 from .model import JointModel
 
@@ -82,15 +83,14 @@ class JointOptimisation:
             seed: seed of the order of views, the pixels and the samples.
             weights: weights of the losses.
             factor: factor of all learning rates, over the schedule.
-            hold_back: hold one of HOLD_BACK views back for `test`, where there are so many.
+            hold_back: leave the views out that `held_back` names.
         """
         self.start, self.model, self.settings = start, model, replace(settings, iterations=settings.joint_iterations)
         self.weights = weights
         self.device = start.gaussians.position.device
         self.training_views = [make_training_view(view, crop=view.alpha is not None).to(self.device) for view in views]
-        number = torch.arange(len(views))
-        every = number % HOLD_BACK == HOLD_BACK // 2 if len(views) >= HOLD_BACK else number < 0
-        self.held_back = every if hold_back else number < 0
+        every = held_back(len(views))
+        self.held_back = every if hold_back else torch.zeros_like(every)
         self.tested = torch.nonzero(every if every.any() else ~every)[:, 0].tolist()
         self.light = resized_light(start.environment, settings.light_height).clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         rates = {name: Rate(rate) for name, rate in LEARNING_RATES.items() if name != "metallic" or settings.brdf != "irgs"}

@@ -29,11 +29,11 @@ from ...common.finite_check import check_due, require_finite
 from ...common.light_map import light_variation
 from ...common.nearest_neighbours import nearest_neighbours
 from ...common.optimizer import GaussianOptimizer, Rate
+from ..held_back import held_back
 from ..metal import METALLIC_THRESHOLD, is_mostly_metal
 from .pixel_gbuffer import CachedHits, RasterizedViews
 from .pixel_pool import PixelPool, facing_side
 
-HOLD_BACK = 8  # one of so many views is held back
 TEST_PIXELS, TEST_SAMPLES = 3000, (16, 32, 16)  # pixels and light samples per pixel of a test
 QUADRATIC_ERROR = 1e-2  # encoded error below which the loss is quadratic
 # Of cosine, visible-normal and light samples. With fewer light samples, the noise of a lamp biases the loss so that lamps darken.
@@ -96,8 +96,7 @@ class Refinement:
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
         radius = reconstruction.bound.radius
         self.gbuffer = RasterizedViews(pool, cameras, radius) if cameras else CachedHits(pool, facing_side(g, pool))
-        views = int(pool.number.max()) + 1
-        held = (pool.number % HOLD_BACK == HOLD_BACK // 2) if views >= HOLD_BACK else torch.zeros_like(pool.number, dtype=torch.bool)
+        held = held_back(int(pool.number.max()) + 1).to(pool.number.device)[pool.number]
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
         self.tested = tested[_shuffled(len(tested), self.generator)[:TEST_PIXELS]]
         self.trained = torch.nonzero(~held)[:, 0]
