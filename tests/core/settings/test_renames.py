@@ -95,6 +95,7 @@ ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.al
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "first.gaussians=40000"]
 CHANGED += [
     "second.indirect=off",
+    "second.albedo_smoothness=0.02",
     "surface.voxels=192",
     "surface.triangles=40000",
     "surface.texture=1024",
