@@ -114,7 +114,7 @@ class SecondStageSettings:
     normal_iterations: Annotated[int, Range(0, 1_000_000)] = 150  # of the fit of surfels to the surface's normals, except a metal's
     pool: Annotated[int, Range(1000)] = 100_000  # pixels kept in memory, from which iterations draw
     normal_rate: Annotated[float, Range(0)] = 5e-4  # learning rate of surfels' rotations, except a metal's; 0: fixed
-    albedo_smoothness: Annotated[float, Range(0)] = 0.4  # loss weight: differences between neighbours of similar albedo
+    albedo_smoothness: Annotated[float, Range(0)] = 1.0  # loss weight: differences between neighbours of similar albedo
     roughness_smoothness: Annotated[float, Range(0)] = 0.05  # loss weight, likewise
     metallic_smoothness: Annotated[float, Range(0)] = 0.05  # loss weight, likewise
     light_smoothness: Annotated[float, Range(0)] = 5e-4  # loss weight: differences between neighbouring texels of the light

@@ -87,7 +87,7 @@ class Refinement:
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         metal = is_mostly_metal(g)
-        table = {name: Rate(1e-2, 0.1) for name in ("albedo", "roughness")}
+        table = {"albedo": Rate(2e-2, 0.1), "roughness": Rate(1e-2, 0.1)}
         table["light"] = Rate(5e-3 * (METAL_LIGHT_RATE if metal else 1.0), 0.1)
         # The reflections in the first stage have determined a metal's normals; noisy gradients would only scatter them, and a metallic
         # slightly below 1 would explain their errors as diffuse light.
