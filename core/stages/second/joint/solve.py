@@ -84,7 +84,7 @@ def refine_jointly(
 
     Args:
         solved: result of the closed solver.
-        dataset: training views; one of eight is held back.
+        dataset: training views, of which some are held back (`held_back`).
         settings: settings of the job.
         progress: see `optimise_jointly`.
         deadline: see `optimise_jointly`.

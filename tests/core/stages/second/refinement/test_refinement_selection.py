@@ -16,7 +16,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.second.refinement import refinement_selection as module
-from irgspp.core.stages.second.refinement.refinement_selection import METAL_STEPS_FACTOR, TRIAL_SHARE, refine
+from irgspp.core.stages.second.refinement.refinement_selection import MAX_LOSS, METAL_STEPS_FACTOR, TRIAL_SHARE, refine
 
 SETTINGS = with_overrides(Settings(), ["second.iterations=10", "second.pixels=64", "second.samples=16", "second.pool=2000"])
 
@@ -106,6 +106,14 @@ def test_refinement_that_does_not_help_is_discarded(start, dataset, monkeypatch)
     assert kept.gaussians.quaternion is first.gaussians.quaternion and kept.environment is first.environment
     assert torch.allclose(kept.gaussians.materials(), first.gaussians.materials(), atol=1e-6)  # one roughness, so nothing to pool
     assert kept.confidence is not None
+
+
+def test_refinement_that_is_hardly_worse_on_few_views_is_kept(start, dataset, monkeypatch):
+    first = start((0.6, 0.45, 0.3))
+    values = iter([20.0, 20.0 - 0.9 * MAX_LOSS])
+    monkeypatch.setattr(module.Refinement, "test", lambda self: next(values))
+    kept = refine([first], dataset, SecondaryTracer(first), SETTINGS, Silent(), None)[0]
+    assert not torch.equal(kept.environment, first.environment)
 
 
 def test_roughness_is_pooled_where_the_object_is_no_metal(start, dataset, monkeypatch):
