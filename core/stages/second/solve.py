@@ -129,8 +129,8 @@ def solve_in_closed_form(
     """
     reconstruction = _with_unseen_surface(reconstruction, surface, dataset, settings.seed, progress)
     reconstruction = _with_aligned_normals(reconstruction, surface, settings)
-    judges = settings.second.iterations > 0 or settings.second.solver == "closed+joint"
-    seen = without_held_back(dataset) if judges else dataset
+    refined_later = settings.second.iterations > 0 or settings.second.solver == "closed+joint"
+    seen = without_held_back(dataset) if refined_later else dataset
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), seen, settings, progress)
     metal = _is_metal(reconstruction, solver)
