@@ -32,11 +32,11 @@ def select_spheres(
 
     Args:
         dataset: views.
-        settings: settings of the job; `first.metal_regions` decides without evidence where it is "on" or "off".
-        start: what the first stage starts with.
-        material_class: class of the object.
-        progress: receives steps and the decision, and may cancel.
-        crop: crop the images of the trial fits to the object.
+        settings: see `select_metal`; `first.metal_regions` sets this choice, too.
+        start: what the first stage starts with, with its metal.
+        material_class: of the object.
+        progress: see `select_metal`.
+        crop: see `select_metal`.
 
     Returns:
         The start with surfels moved onto the chosen spheres, and these as metal.

@@ -9,7 +9,8 @@ import torch
 
 from ...scene.dataset import Dataset
 
-# One of so many views is held back. Metal needs all views: with one of eight held back, an arm ring of capture_ogre was not found.
+# One of so many views is held back. Metal shows by how it looks from many views: with one of eight held back, an arm ring of
+# capture_ogre was not found.
 HOLD_BACK = 16
 MIN_VIEWS = 8  # of which one is held back
 

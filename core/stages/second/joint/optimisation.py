@@ -83,7 +83,7 @@ class JointOptimisation:
             seed: seed of the order of views, the pixels and the samples.
             weights: weights of the losses.
             factor: factor of all learning rates, over the schedule.
-            hold_back: leave the views out that `held_back` names.
+            hold_back: do not train on the views of `held_back`.
         """
         self.start, self.model, self.settings = start, model, replace(settings, iterations=settings.joint_iterations)
         self.weights = weights

@@ -40,6 +40,7 @@ class PixelPool:
         place: (B,) flat index of the pixel in its view.
         rotations: (V, 3, 3) from the world to the frame of the light of each view; None where the light stands still.
         subpixels: rays along each side of a pixel.
+        views: number V of views, also of those that show no pixel.
         surface_normal: (B, 3) unit, of the fine surface, 0 where a pixel does not show it; None where there is no such surface.
     """
 
@@ -53,6 +54,7 @@ class PixelPool:
     place: torch.Tensor
     rotations: torch.Tensor | None = None
     subpixels: int = 1
+    views: int = 0
     surface_normal: torch.Tensor | None = None
 
     @property
@@ -73,10 +75,10 @@ def pool_pixels(views: Sequence[View], tracer: SecondaryTracer, count: int, rand
     """
     parts = [_pixels_of(view, number, tracer, max(1, count // len(views)), random, subpixels) for number, view in enumerate(views)]
     lists = join_lists([part.lists for part in parts])
-    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-3]]
+    rest = [torch.cat([getattr(part, f.name) for part in parts]) for f in fields(PixelPool)[1:-4]]
     rotations = light_rotations(views)
     turned = None if rotations is None else torch.from_numpy(rotations).to(tracer.device)
-    return PixelPool(lists, *rest, rotations=turned, subpixels=subpixels)
+    return PixelPool(lists, *rest, rotations=turned, subpixels=subpixels, views=len(views))
 
 
 def with_surface_normals(pool: PixelPool, surface: Surface, cameras: Sequence[Camera]) -> PixelPool:

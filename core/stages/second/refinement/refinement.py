@@ -87,6 +87,7 @@ class Refinement:
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
         metal = is_mostly_metal(g)
+        # A higher rate of the albedo pays with `albedo_smoothness` alone, which removes its noise.
         table = {"albedo": Rate(2e-2, 0.1), "roughness": Rate(1e-2, 0.1)}
         table["light"] = Rate(5e-3 * (METAL_LIGHT_RATE if metal else 1.0), 0.1)
         # The reflections in the first stage have determined a metal's normals; noisy gradients would only scatter them, and a metallic
@@ -96,7 +97,7 @@ class Refinement:
         self.optimizer = GaussianOptimizer(g, table, {"light": self.light})
         radius = reconstruction.bound.radius
         self.gbuffer = RasterizedViews(pool, cameras, radius) if cameras else CachedHits(pool, facing_side(g, pool))
-        held = held_back(int(pool.number.max()) + 1).to(pool.number.device)[pool.number]
+        held = held_back(pool.views).to(pool.number.device)[pool.number]
         tested = torch.nonzero(held if held.any() else ~held)[:, 0]
         self.tested = tested[_shuffled(len(tested), self.generator)[:TEST_PIXELS]]
         self.trained = torch.nonzero(~held)[:, 0]

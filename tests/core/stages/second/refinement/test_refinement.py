@@ -16,6 +16,7 @@ from irgspp.core.scene.reconstruction import Reconstruction
 from irgspp.core.scene.surface import Surface
 from irgspp.core.settings.schema import SecondStageSettings
 from irgspp.core.shading.environment_lookup import rotate
+from irgspp.core.stages.second.held_back import held_back
 from irgspp.core.stages.second.metal import METALLIC_THRESHOLD
 from irgspp.core.stages.second.radiance_refit import refit_radiance
 from irgspp.core.stages.second.refinement import refinement as module
@@ -77,6 +78,13 @@ def test_what_was_held_back_is_shown_better_and_the_same_each_time(start, photog
     assert torch.equal(results[0].environment, results[1].environment)
     red, _, blue = results[0].gaussians.materials()[:3].mean(1)
     assert red > blue  # as in the photographs
+
+
+def test_the_same_view_is_held_back_where_the_last_ones_show_nothing(start, photographs):
+    blank = [replace(view, alpha=np.zeros_like(view.alpha)) for view in photographs[8:]]
+    trial = refinement(start(), [*photographs[:8], *blank])
+    assert trial.pool.number[trial.tested].unique().tolist() == held_back(len(photographs)).nonzero().flatten().tolist()
+    assert trial.pool.number[trial.trained].unique().tolist() == [0, 1, 2, 3, 4, 6, 7]
 
 
 def test_the_noise_of_few_samples_does_not_count_as_an_error(start, photographs, monkeypatch):
