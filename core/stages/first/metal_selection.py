@@ -10,12 +10,11 @@ import numpy as np
 import torch
 
 from ...progress.protocol import Progress
-from ...scene.dataset import Dataset
-from ...settings.schema import Settings
 from .layered_regions import layered_regions
-from .material_class import METAL, MaterialClass
+from .material_class import METAL
 from .region_trial import region_gains
-from .start_selection import Start
+from .start import Start
+from .start_trials import StartTrials
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
 # A region's squared error without metal over that with it, on held-back views, from which it begins as metal: 1 dB. On ten
@@ -24,9 +23,7 @@ from .trial_fits import MIN_HOLD_BACK_VIEWS
 MIN_ERROR_RATIO = 1.25
 
 
-def select_metal(
-    dataset: Dataset, settings: Settings, start: Start, material_class: MaterialClass, progress: Progress, crop: bool = False
-) -> Start:
+def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start:
     """Select the regions of the start that begin as metal.
 
     All surfels of a glossy object start with hardly any metallic, and the optimisation does not raise it enough: in parts of metal they
@@ -34,12 +31,9 @@ def select_metal(
     another has none; each region is compared where held-back views show it.
 
     Args:
-        dataset: views.
-        settings: settings of the job; `first.metal_regions` decides without evidence where it is "on" or "off".
         start: what the first stage starts with.
-        material_class: class of the object.
+        trials: trial fits of the object; `first.metal_regions` of its settings decides without evidence where it is "on" or "off".
         progress: receives steps and the decision, and may cancel.
-        crop: crop the images of the trial fits to the object.
 
     Returns:
         The start with its metal.
@@ -47,23 +41,25 @@ def select_metal(
     Raises:
         Cancelled: the user stopped the work.
     """
-    reason = reason_against_metal(dataset, settings, material_class)
+    reason = reason_against_metal(trials)
     if reason:
         progress.decided("metal_regions", False, reason)
         return start
     points = start.gaussians.position.T.double().cpu().numpy()
-    regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), dataset.bound.radius)
-    found = f"{len(regions)} regions whose points lie in several layers"
-    if settings.first.metal_regions == "on":
+    regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), trials.dataset.bound.radius)
+    if not regions:
+        progress.decided("metal_regions", False, "nowhere do the start's points lie in several layers")
+        return start
+    found, metal = f"{len(regions)} regions whose points lie in several layers", _as_metal(start, regions)
+    if trials.settings.first.metal_regions == "on":
         chosen, evidence = regions, f"{found}, as set"
-    elif regions:
-        progress.phase("metal", settings.first.trial_iterations)
-        gains = region_gains(dataset, settings, (start, _as_metal(start, regions)), 0, material_class, regions, progress, crop)
+    else:
+        gains = region_gains(trials, (start, metal), 0, regions, progress, "metal")
         chosen = [region for region, gain in zip(regions, gains, strict=True) if gain > MIN_ERROR_RATIO]
         evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
-    else:
-        chosen, evidence = [], "nowhere do the start's points lie in several layers"
     progress.decided("metal_regions", bool(chosen), evidence)
+    if len(chosen) == len(regions):
+        return metal  # its trial fit is made
     return _as_metal(start, chosen) if chosen else start
 
 
@@ -72,22 +68,21 @@ def _as_metal(start: Start, regions: list[np.ndarray]) -> Start:
     return replace(start, metal=torch.from_numpy(np.any(regions, 0)).to(start.gaussians.position.device))
 
 
-def reason_against_metal(dataset: Dataset, settings: Settings, material_class: MaterialClass) -> str:
+def reason_against_metal(trials: StartTrials) -> str:
     """Return the reason why no region is tried as metal, empty where there is none.
 
     Args:
-        dataset: views.
-        settings: settings of the job.
-        material_class: class of the object.
+        trials: trial fits of the object.
     """
-    if settings.first.metal_regions == "off":
+    views = trials.dataset.train
+    if trials.settings.first.metal_regions == "off":
         return "as set"
-    if not dataset.has_alpha:
+    if not trials.dataset.has_alpha:
         return "not tried without masks"
-    if not material_class.split_sum:
+    if not trials.material_class.split_sum:
         return "a low-gloss object has no reflections"
-    if material_class == METAL:
+    if trials.material_class == METAL:
         return "the whole object begins as metal"
-    if len(dataset.train) < MIN_HOLD_BACK_VIEWS:
-        return f"{len(dataset.train)} photographs, too few to hold any back"
+    if len(views) < MIN_HOLD_BACK_VIEWS:
+        return f"{len(views)} photographs, too few to hold any back"
     return ""

@@ -4,19 +4,15 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 import torch
 
 from ...progress.protocol import Progress
 from ...scene.camera import Camera
-from ...scene.dataset import Dataset
-from ...settings.schema import Settings
-from .material_class import MaterialClass
-from .start_selection import Start
+from .start import Start
+from .start_trials import StartTrials
 from .trainer import Trainer
-from .trial_fits import prepare_trial, run_trials, with_finer_trials
 
 VISIBLE = 0.03  # radii of the bound by which a region's points may lie behind the rendered depth and still count as seen
 MIN_OPACITY = 0.5  # opacity from which a pixel has a depth
@@ -24,35 +20,24 @@ MIN_PIXELS = 30  # of held-back views that must show a region
 
 
 def region_gains(
-    dataset: Dataset,
-    settings: Settings,
-    starts: tuple[Start, Start],
-    shape: int,
-    material_class: MaterialClass,
-    regions: Sequence[np.ndarray],
-    progress: Progress,
-    crop: bool,
+    trials: StartTrials, starts: tuple[Start, Start], shape: int, regions: Sequence[np.ndarray], progress: Progress, phase: str
 ) -> list[float]:
     """Return the squared error of each region from the first start over that from the second; 1 where held-back views hardly show it.
 
     Args:
-        dataset: views.
-        settings: settings of the job.
+        trials: trial fits of the object.
         starts: what is compared, with the same number of surfels.
         shape: 0 or 1, the start whose surfels, and whose fit's depth, tell which pixels show a region.
-        material_class: class of the object.
         regions: masks (N,) bool of that start's surfels, at least one.
         progress: receives steps, and may cancel.
-        crop: crop the images to the object.
+        phase: its name for the progress.
 
     Raises:
         Cancelled: the user stopped the work.
     """
-    finer = with_finer_trials(settings)
     # Both fits go on to the end, however far one is behind elsewhere.
-    both = replace(finer, first=replace(finer.first, open_edges=0.0), skip=replace(finer.skip, trials="off"))
-    fits = [prepare_trial(dataset, both, start.gaussians, material_class, crop, start.metal) for start in starts]
-    run_trials({"first": fits[0], "second": fits[1]}, both, progress)
+    trials.compare({"first": starts[0], "second": starts[1]}, progress, phase, may_give_up=False)
+    fits = [trials.fit_of(start) for start in starts]
     points = starts[shape].gaussians.position.T.double().cpu().numpy()
     first, second = (_region_errors(fit, fits[shape], points, regions) for fit in fits)
     return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in zip(first, second, strict=True)]

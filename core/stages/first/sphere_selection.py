@@ -12,18 +12,15 @@ import torch
 
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
-from ...settings.schema import Settings
 from .layered_regions import layered_regions
-from .material_class import MaterialClass
 from .metal_selection import MIN_ERROR_RATIO, reason_against_metal
 from .mirror_sphere import MIN_SURFELS, MirrorSphere, mirror_sphere, moved_onto
 from .region_trial import region_gains
-from .start_selection import Start
+from .start import Start
+from .start_trials import StartTrials
 
 
-def select_spheres(
-    dataset: Dataset, settings: Settings, start: Start, material_class: MaterialClass, progress: Progress, crop: bool = False
-) -> Start:
+def select_spheres(start: Start, trials: StartTrials, progress: Progress) -> Start:
     """Select the regions of the start that begin as balls of metal.
 
     The first stage does not leave the virtual images that stereo sees in a ball. Candidates are spheres in the hull of regions whose
@@ -31,12 +28,9 @@ def select_spheres(
     where held-back views show it.
 
     Args:
-        dataset: views.
-        settings: see `select_metal`; `first.metal_regions` sets this choice, too.
         start: what the first stage starts with, with its metal.
-        material_class: of the object.
+        trials: see `select_metal`; `first.metal_regions` sets this choice, too.
         progress: see `select_metal`.
-        crop: see `select_metal`.
 
     Returns:
         The start with surfels moved onto the chosen spheres, and these as metal.
@@ -44,23 +38,22 @@ def select_spheres(
     Raises:
         Cancelled: the user stopped the work.
     """
-    reason = reason_against_metal(dataset, settings, material_class) or ("" if start.anchors else "the start has no depths of stereo")
-    spheres = [] if reason else _candidates(dataset, start)
+    reason = reason_against_metal(trials) or ("" if start.anchors else "the start has no depths of stereo")
+    spheres = [] if reason else _candidates(trials.dataset, start)
     if not spheres:
         progress.decided("mirror_spheres", False, reason or "no region whose points lie in several layers is a ball")
         return start
-    found, chosen = f"{len(spheres)} balls around regions whose points lie in several layers", spheres
-    if settings.first.metal_regions == "on":
-        evidence = f"{found}, as set"
+    found, moved = f"{len(spheres)} balls around regions whose points lie in several layers", with_spheres(start, spheres)
+    if trials.settings.first.metal_regions == "on":
+        chosen, evidence = spheres, f"{found}, as set"
     else:
-        moved = with_spheres(start, spheres)
         points = moved.gaussians.position.T.double().cpu().numpy()
-        held = [sphere.holds(points) for sphere in spheres]
-        progress.phase("spheres", settings.first.trial_iterations)
-        gains = region_gains(dataset, settings, (start, moved), 1, material_class, held, progress, crop)
+        gains = region_gains(trials, (start, moved), 1, [sphere.holds(points) for sphere in spheres], progress, "spheres")
         chosen = [sphere for sphere, gain in zip(spheres, gains, strict=True) if gain > MIN_ERROR_RATIO]
         evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
     progress.decided("mirror_spheres", bool(chosen), evidence)
+    if len(chosen) == len(spheres):
+        return moved
     return with_spheres(start, chosen) if chosen else start
 
 

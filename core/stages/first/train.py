@@ -11,6 +11,7 @@ import torch
 from ...machine.backend import incomplete_images
 from ...progress.protocol import Checkpoint, Progress, Silent
 from ...scene.dataset import Dataset
+from ...scene.gaussians import Gaussians
 from ...scene.reconstruction import Reconstruction
 from ...settings.schema import Settings
 from ..common.preview import points_shape
@@ -25,7 +26,9 @@ from .material_class_selection import material_class_named, select_material_clas
 from .metal_selection import select_metal
 from .schedule import densifies
 from .sphere_selection import select_spheres
-from .start_selection import Start, select_start
+from .start import Start
+from .start_selection import select_start
+from .start_trials import StartTrials
 from .trainer import Trainer
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
@@ -89,11 +92,8 @@ def train(
         material_class, start = material_class_named(state.get("kind", ""), dataset), Start(gaussians)
     else:
         progress.shape(lambda: points_shape(gaussians, dataset))  # before the kernels are compiled, which may take half a minute
-        material_class = select_material_class(dataset, begun, gaussians, progress, crop)
-        start = select_start(dataset, begun, gaussians, material_class, progress, crop)
-        start = select_metal(dataset, settings, start, material_class, progress, crop)
-        start = select_spheres(dataset, settings, start, material_class, progress, crop)
-        settings = replace(settings, first=select_open_edges(dataset, settings, start, material_class, progress, crop))
+        material_class, start, open_edges = _selected(dataset, begun, gaussians, progress, crop)
+        settings = replace(settings, first=replace(settings.first, open_edges=open_edges))
     # A deadline tells the length of the schedule.
     schedule = scaled_iterations(1.0 if deadline is not None else material_class.schedule, settings.first.iterations)
     trainer = _trainer(dataset, settings, schedule, start, material_class, crop=crop, resident=resident)
@@ -107,6 +107,18 @@ def train(
     _report_run(trainer, incomplete_images() - before, progress)
     result = estimate_light_albedo(trainer.reconstruction().to("cpu"), settings.seed, dataset.train)
     return result, trainer.settings.iterations / settings.first.iterations
+
+
+def _selected(
+    dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool
+) -> tuple[MaterialClass, Start, float]:
+    """Return what trial fits select: the material class, the start, and the part of the schedule in which edges are open."""
+    material_class = select_material_class(dataset, settings, gaussians, progress, crop)
+    trials = StartTrials(dataset, settings, material_class, crop)
+    start = select_start(gaussians, trials, progress)
+    start = select_metal(start, trials, progress)
+    start = select_spheres(start, trials, progress)
+    return material_class, start, select_open_edges(start, trials, progress)
 
 
 def _at_start(settings: Settings, masked: bool) -> Settings:

@@ -71,10 +71,10 @@ def with_finer_trials(settings: Settings) -> Settings:
 
 
 def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progress) -> tuple[dict[str, float], list[str]]:
-    """Run all trial fits in turns.
+    """Run all trial fits in turns, to as many steps as `first.trial_iterations`.
 
     Args:
-        fits: by the name of what is tried.
+        fits: by the name of what is tried; those that have been run are only compared.
         settings: settings of the job; the skip rule "trials" lets fits that have fallen behind be abandoned.
         progress: receives steps and previews, and may cancel.
 
@@ -93,7 +93,8 @@ def run_trials(fits: Mapping[str, Trainer], settings: Settings, progress: Progre
         if progress.cancelled:
             raise Cancelled("stopped during the trial fits")
         for name in running:
-            fits[name].step()
+            if fits[name].done < done:
+                fits[name].step()
         progress.step(done)
         shown = fits[running[0]]
         progress.image(shown.image)

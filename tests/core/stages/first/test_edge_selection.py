@@ -11,7 +11,8 @@ from irgspp.core.stages.first import edge_selection
 from irgspp.core.stages.first.edge_selection import CLOSED, OPEN, OPEN_EDGES, select_open_edges
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, METAL
-from irgspp.core.stages.first.start_selection import Start
+from irgspp.core.stages.first.start import Start
+from irgspp.core.stages.first.start_trials import StartTrials
 from recorded_decisions import RecordedDecisions
 
 SETTINGS = replace(preset("draft"), first=replace(preset("draft").first, open_edges=None))
@@ -38,8 +39,7 @@ def test_held_back_views_decide(scene, monkeypatch, gain, part):
 
     monkeypatch.setattr(edge_selection, "run_trials", run)
     progress = RecordedDecisions()
-    first = select_open_edges(scene[0], SETTINGS, scene[1], GLOSSY, progress)
-    assert first == replace(SETTINGS.first, open_edges=part)
+    assert select_open_edges(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress) == part
     assert parts == {CLOSED: 0.0, OPEN: OPEN_EDGES}
     assert progress.found == {"open_edges": (part > 0, f"held-back views: closed 30.00 dB, open {30 + gain:.2f} dB")}
 
@@ -48,7 +48,7 @@ def test_held_back_views_decide(scene, monkeypatch, gain, part):
 def test_a_number_decides_without_a_trial(scene, no_trials, part):
     progress = RecordedDecisions()
     settings = with_overrides(SETTINGS, [f"first.open_edges={part}"])
-    assert select_open_edges(scene[0], settings, scene[1], GLOSSY, progress).open_edges == part
+    assert select_open_edges(scene[1], StartTrials(scene[0], settings, GLOSSY), progress) == part
     assert progress.found == {"open_edges": (part > 0, "as set")}
 
 
@@ -56,7 +56,7 @@ def test_a_number_decides_without_a_trial(scene, no_trials, part):
 def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, no_trials, views, masked, material_class):
     dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
-    assert select_open_edges(dataset, SETTINGS, start, material_class, progress).open_edges == 0
+    assert select_open_edges(start, StartTrials(dataset, SETTINGS, material_class), progress) == 0
     on, evidence = progress.found["open_edges"]
     assert not on
     assert evidence.startswith("closed: ")
@@ -76,7 +76,7 @@ def test_trial_fits_are_finer_than_those_of_the_classes(scene):
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(edge_selection, "prepare_trial", prepared)
-        select_open_edges(scene[0], settings, scene[1], GLOSSY, progress)
+        select_open_edges(scene[1], StartTrials(scene[0], settings, GLOSSY), progress)
     assert sizes == [(50, 32, 4)] * 2
     assert [(fit.done, fit.settings.single_rays) for fit in fits] == [(2, 1.0)] * 2  # edges are open to the end of such a trial
     assert progress.phases == [("edges", 2)]

@@ -10,11 +10,12 @@ from irgspp.core.errors import Cancelled
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import metal_selection, region_trial
+from irgspp.core.stages.first import metal_selection, start_trials
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL
 from irgspp.core.stages.first.metal_selection import select_metal
-from irgspp.core.stages.first.start_selection import Start
+from irgspp.core.stages.first.start import Start
+from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.trial_fits import prepare_trial
 from mirror_sphere import mirror_photographs
 from recorded_decisions import RecordedDecisions
@@ -38,14 +39,14 @@ def halves(scene, monkeypatch):
 
 @pytest.fixture
 def no_trials(monkeypatch):
-    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    monkeypatch.setattr(start_trials, "run_trials", lambda *_: pytest.fail("a trial was run"))
 
 
 @pytest.mark.parametrize(("gains", "chosen"), [((1.3, 1.1), [0]), ((1.1, 1.3), [1]), ((2.0, 1.3), [0, 1]), ((1.2, 0.1), [])])
 def test_held_back_views_decide_on_each_region(scene, halves, monkeypatch, gains, chosen):
     monkeypatch.setattr(metal_selection, "region_gains", lambda *_: list(gains))
     progress = RecordedDecisions()
-    start = select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress)
+    start = select_metal(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress)
     on, evidence = progress.found["metal_regions"]
     assert on == bool(chosen)
     assert evidence.startswith(f"{len(chosen)} of 2 regions")
@@ -59,7 +60,7 @@ def test_held_back_views_decide_on_each_region(scene, halves, monkeypatch, gains
 
 def test_all_regions_are_metal_as_set_without_a_trial(scene, halves, no_trials):
     progress = RecordedDecisions()
-    assert select_metal(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), scene[1], GLOSSY, progress).metal.all()
+    assert select_metal(scene[1], StartTrials(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), GLOSSY), progress).metal.all()
     assert progress.found == {"metal_regions": (True, "2 regions whose points lie in several layers, as set")}
 
 
@@ -77,7 +78,7 @@ def test_nothing_is_metal_where_no_trial_can_tell(sphere_dataset, camera_ring, h
     dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
     settings = with_overrides(SETTINGS, [f"first.metal_regions={choice}"])
-    assert select_metal(dataset, settings, start, material_class, progress) is start
+    assert select_metal(start, StartTrials(dataset, settings, material_class), progress) is start
     on, evidence = progress.found["metal_regions"]
     assert evidence
     assert not on
@@ -85,16 +86,16 @@ def test_nothing_is_metal_where_no_trial_can_tell(sphere_dataset, camera_ring, h
 
 def test_no_trial_without_layers(scene, no_trials):
     progress = RecordedDecisions()
-    assert select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress) is scene[1]
+    assert select_metal(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress) is scene[1]
     assert progress.found == {"metal_regions": (False, "nowhere do the start's points lie in several layers")}
 
 
 def test_trial_fits_differ_in_the_metal_alone(scene, halves, monkeypatch):
     fits, progress = {}, RecordedDecisions()
-    run = region_trial.run_trials
-    monkeypatch.setattr(region_trial, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
+    run = start_trials.run_trials
+    monkeypatch.setattr(start_trials, "run_trials", lambda tried, *rest: (fits.update(tried), run(tried, *rest))[1])
     settings = with_overrides(SETTINGS, ["first.open_edges=0.5"])
-    select_metal(scene[0], settings, scene[1], GLOSSY, progress)
+    select_metal(scene[1], StartTrials(scene[0], settings, GLOSSY), progress)
     assert progress.phases == [("metal", 4)]
     assert [fit.done for fit in fits.values()] == [4, 4]  # to the end, both with closed edges
     assert [fit.settings.open_edges for fit in fits.values()] == [0.0, 0.0]
@@ -112,10 +113,10 @@ def test_chrome_is_metal_and_paint_is_not(sphere_dataset, camera_ring, monkeypat
     start = Start(initial_gaussians(painted, 1500, np.random.default_rng(0)))
     left = start.gaussians.position[0].numpy() < 0
     monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [left, ~left])
-    found = select_metal(mirror, settings, start, GLOSSY, Silent())
+    found = select_metal(start, StartTrials(mirror, settings, GLOSSY), Silent())
     assert found.metal is not None
     assert found.metal.all()
-    assert select_metal(painted, settings, start, GLOSSY, Silent()).metal is None
+    assert select_metal(start, StartTrials(painted, settings, GLOSSY), Silent()).metal is None
 
 
 def test_a_region_that_hardly_a_pixel_shows_is_not_compared(scene, monkeypatch):
@@ -124,7 +125,7 @@ def test_a_region_that_hardly_a_pixel_shows_is_not_compared(scene, monkeypatch):
     one[0] = True
     monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [one])
     progress = RecordedDecisions()
-    assert select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress).metal is None
+    assert select_metal(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress).metal is None
     assert progress.found["metal_regions"][1].endswith("held-back views: +0.0 dB")
 
 
@@ -132,7 +133,7 @@ def test_a_trial_can_be_cancelled(scene, halves):
     progress = RecordedDecisions()
     progress.cancelled = True
     with pytest.raises(Cancelled):
-        select_metal(scene[0], SETTINGS, scene[1], GLOSSY, progress)
+        select_metal(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress)
 
 
 def test_a_trial_takes_the_metal_of_the_surfels_that_it_selects(scene):

@@ -7,13 +7,14 @@ import torch
 from irgspp.core.errors import Cancelled
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import region_trial, sphere_selection
+from irgspp.core.stages.first import sphere_selection, start_trials
 from irgspp.core.stages.first.depth_anchors import COMPARED_VIEWS, DepthAnchors
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, METAL
 from irgspp.core.stages.first.mirror_sphere import MirrorSphere
 from irgspp.core.stages.first.sphere_selection import select_spheres
-from irgspp.core.stages.first.start_selection import Start
+from irgspp.core.stages.first.start import Start
+from irgspp.core.stages.first.start_trials import StartTrials
 from mirror_sphere import mirror_photographs
 from recorded_decisions import RecordedDecisions
 
@@ -50,7 +51,7 @@ def ball(monkeypatch):
 def test_held_back_views_decide(scene, ball, monkeypatch, gain, chosen):
     monkeypatch.setattr(sphere_selection, "region_gains", lambda *_: [gain])
     progress = RecordedDecisions()
-    start = select_spheres(scene[0], SETTINGS, scene[1], GLOSSY, progress)
+    start = select_spheres(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress)
     evidence = f"{int(chosen)} of 1 balls around regions whose points lie in several layers; held-back views: {10 * np.log10(gain):+.1f} dB"
     assert progress.found == {"mirror_spheres": (chosen, evidence)}
     if not chosen:
@@ -63,8 +64,10 @@ def test_held_back_views_decide(scene, ball, monkeypatch, gain, chosen):
 
 
 def test_balls_are_taken_as_set_without_a_trial(scene, ball, monkeypatch):
-    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
-    start = select_spheres(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), scene[1], GLOSSY, RecordedDecisions())
+    monkeypatch.setattr(start_trials, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    start = select_spheres(
+        scene[1], StartTrials(scene[0], with_overrides(SETTINGS, ["first.metal_regions=on"]), GLOSSY), RecordedDecisions()
+    )
     assert start.metal.any()
 
 
@@ -79,11 +82,11 @@ def test_balls_are_taken_as_set_without_a_trial(scene, ball, monkeypatch):
     ],
 )
 def test_nothing_is_a_ball_where_none_can_be_found(scene, ball, monkeypatch, choice, material_class, anchored, sphere):
-    monkeypatch.setattr(region_trial, "run_trials", lambda *_: pytest.fail("a trial was run"))
+    monkeypatch.setattr(start_trials, "run_trials", lambda *_: pytest.fail("a trial was run"))
     monkeypatch.setattr(sphere_selection, "mirror_sphere", lambda *_: sphere)
     start, progress = scene[1] if anchored else Start(scene[1].gaussians), RecordedDecisions()
     settings = with_overrides(SETTINGS, [f"first.metal_regions={choice}"])
-    assert select_spheres(scene[0], settings, start, material_class, progress) is start
+    assert select_spheres(start, StartTrials(scene[0], settings, material_class), progress) is start
     on, evidence = progress.found["mirror_spheres"]
     assert evidence and not on
 
@@ -94,13 +97,13 @@ def test_chrome_is_a_ball_of_metal_and_paint_is_not(sphere_dataset, camera_ring,
     mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
     settings = with_overrides(SETTINGS, ["first.trial_iterations=60", "first.trial_gaussians=600", "first.trial_resolution=24"])
     start, progress = start_of(painted, 1500), RecordedDecisions()
-    assert select_spheres(mirror, settings, start, GLOSSY, progress).metal is not None
+    assert select_spheres(start, StartTrials(mirror, settings, GLOSSY), progress).metal is not None
     assert progress.phases == [("spheres", 60)]
-    assert select_spheres(painted, settings, start, GLOSSY, progress).metal is None
+    assert select_spheres(start, StartTrials(painted, settings, GLOSSY), progress).metal is None
 
 
 def test_a_trial_can_be_cancelled(scene, ball):
     progress = RecordedDecisions()
     progress.cancelled = True
     with pytest.raises(Cancelled):
-        select_spheres(scene[0], SETTINGS, scene[1], GLOSSY, progress)
+        select_spheres(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress)

@@ -9,6 +9,7 @@ from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import start_selection
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS
+from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.stereo_initialization import StereoStart
 from recorded_decisions import RecordedDecisions
 
@@ -27,7 +28,8 @@ def psnr(scene, monkeypatch):
     found = [StereoStart(name, scene[1].select(torch.arange(k)), 0.1 * k, []) for k, name in ((1, "one"), (2, "other"))]
     values: dict[str, float] = {}
     monkeypatch.setattr(start_selection, "from_stereo", lambda *_, everywhere: found[1:] if everywhere else found[: len(values) or 1])
-    monkeypatch.setattr(start_selection, "_trial", lambda dataset, settings, starts, *_: {name: values[name] for name in starts})
+    compare = lambda self, starts, *_, may_give_up: {name: values[name] for name in starts}  # noqa: E731
+    monkeypatch.setattr(StartTrials, "compare", compare)
     return values
 
 
@@ -35,7 +37,7 @@ def psnr(scene, monkeypatch):
 def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
     psnr |= given
     progress = RecordedDecisions()
-    assert start_selection.select_start(scene[0], SETTINGS, scene[1], LOW_GLOSS, progress).gaussians.count == size
+    assert start_selection.select_start(scene[1], StartTrials(scene[0], SETTINGS, LOW_GLOSS), progress).gaussians.count == size
     on, evidence = progress.found["stereo"]
     assert on
     assert ("held-back" in evidence) == bool(given)
@@ -45,29 +47,5 @@ def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
 def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
     progress = RecordedDecisions()
     settings = with_overrides(SETTINGS, ["first.stereo=on"])
-    assert start_selection.select_start(scene[0], settings, scene[1], LOW_GLOSS, progress).gaussians.count == 2
+    assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == 2
     assert progress.found["stereo"] == (True, "as set")
-
-
-def test_trial_fits_of_masked_starts_are_finer_than_those_of_the_classes(scene, monkeypatch):
-    fits = {}
-    monkeypatch.setattr(start_selection, "run_trials", lambda given, *_: (fits.update(given), ({}, []))[1])
-    settings = with_overrides(SETTINGS, ["first.trial_gaussians=20", "first.trial_resolution=16"])
-    progress = RecordedDecisions()
-    start_selection._trial(scene[0], settings, {"one": scene[1]}, LOW_GLOSS, progress, False)
-    assert not progress.found  # the report of the classes' trials stays
-    fit = fits["one"]
-    assert (fit.optimizer.gaussians.count, fit.training_views[0].image.shape[-1], fit.settings.single_rays) == (50, 32, 1)
-
-
-@pytest.mark.parametrize(("masked", "given_up"), [(False, []), (True, ["one after 75 of 250 steps"])])
-def test_trial_fits_of_starts_are_reported(sphere_dataset, camera_ring, scene, monkeypatch, masked, given_up):
-    dataset, progress = sphere_dataset(camera_ring(12, 32), masked=masked), RecordedDecisions()
-    sizes = []
-    monkeypatch.setattr(start_selection, "prepare_trial", lambda dataset, settings, *_: sizes.append(settings.first.trial_resolution))
-    monkeypatch.setattr(start_selection, "run_trials", lambda *_: ({"one": 30.0}, given_up))
-    assert start_selection._trial(dataset, SETTINGS, {"one": scene[1]}, LOW_GLOSS, progress, False) == {"one": 30.0}
-    assert sizes == [SETTINGS.first.trial_resolution * (2 if masked else 1)]
-    on, evidence = progress.found["trials"]
-    assert on == bool(given_up)
-    assert "75 of 250" in evidence or not given_up

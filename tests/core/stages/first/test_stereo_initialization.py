@@ -16,6 +16,7 @@ from irgspp.core.stages.first.depth_evidence import DepthEvidence
 from irgspp.core.stages.first.initialization import from_hull, initial_gaussians
 from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
 from irgspp.core.stages.first.start_selection import select_start
+from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.stereo_initialization import from_stereo, in_free_space, thinned, views_through
 from irgspp.core.stages.first.visual_hull import visual_hull
 from irgspp.core.stereo.depth_map import DepthMap
@@ -168,7 +169,7 @@ def test_a_hollow_is_a_region_where_stereo_is_better(dataset):
     """The lid is given to stereo, the outside of the bowl, which the hull touches, may keep the hull."""
     settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
-    chosen = select_start(dataset, settings, plain, LOW_GLOSS, progress).gaussians
+    chosen = select_start(plain, StartTrials(dataset, settings, LOW_GLOSS), progress).gaussians
     on, evidence = progress.found["stereo"]
     assert on
     assert "% of the surfels" in evidence
@@ -202,7 +203,7 @@ def test_better_regions_that_are_no_pixel_off_the_hull_are_no_stereo_start(datas
     settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
     monkeypatch.setattr(stereo_initialization, "pixel_size", lambda dataset: 10.0)
     plain, progress = initial_gaussians(dataset, COUNT, np.random.default_rng(0)), Decisions()
-    assert select_start(dataset, settings, plain, LOW_GLOSS, progress).gaussians is plain
+    assert select_start(plain, StartTrials(dataset, settings, LOW_GLOSS), progress).gaussians is plain
     on, evidence = progress.found["stereo"]
     assert not on
     assert "in no region" in evidence
@@ -222,7 +223,9 @@ def test_share_is_that_of_the_surfels_on_points_of_stereo(dataset, monkeypatch):
 @pytest.mark.parametrize(("overrides", "material_class", "why"), [([], METAL, "reflections"), (["first.stereo=off"], LOW_GLOSS, "as set")])
 def test_plain_start_without_a_trial(dataset, overrides, material_class, why):
     plain, progress = initial_gaussians(dataset, 100, np.random.default_rng(0)), Decisions()
-    assert select_start(dataset, with_overrides(preset("draft"), overrides), plain, material_class, progress).gaussians is plain
+    assert (
+        select_start(plain, StartTrials(dataset, with_overrides(preset("draft"), overrides), material_class), progress).gaussians is plain
+    )
     on, evidence = progress.found["stereo"]
     assert not on
     assert why in evidence
@@ -232,7 +235,7 @@ def test_few_photographs_keep_the_sparse_points():
     few = bowl(masked=False, count=5, size=32)
     few = replace(few, points=PointCloud(np.zeros((30, 3), np.float32), np.zeros((30, 3), np.float32)))
     plain, progress = initial_gaussians(few, 100, np.random.default_rng(0)), Decisions()
-    assert select_start(few, preset("draft"), plain, LOW_GLOSS, progress).gaussians is plain
+    assert select_start(plain, StartTrials(few, preset("draft"), LOW_GLOSS), progress).gaussians is plain
     assert "5 photographs" in progress.found["stereo"][1]
 
 

@@ -72,9 +72,8 @@ def test_stopped_fit_goes_on_to_the_same_bits(sphere_dataset, camera_ring, mater
 
 def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
     dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings("materials=low-gloss")
-    opened = replace(chosen.first, open_edges=0.9)
     closed, _ = train(dataset, chosen)
-    monkeypatch.setattr("irgspp.core.stages.first.train.select_open_edges", lambda *_: opened)
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_open_edges", lambda *_: 0.9)
     whole, _ = train(dataset, chosen)
     memory = stopped(dataset, chosen)
     monkeypatch.undo()  # a continued fit makes no trial
@@ -85,7 +84,7 @@ def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, c
 
 def test_stopped_fit_goes_on_with_the_metal_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
     dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings("materials=glossy")
-    left = lambda dataset, settings, start, *_: replace(start, metal=start.gaussians.position[0] < 0)  # noqa: E731
+    left = lambda start, *_: replace(start, metal=start.gaussians.position[0] < 0)  # noqa: E731
     monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *_: GLOSSY)
     monkeypatch.setattr("irgspp.core.stages.first.train.select_metal", left)
     whole, _ = train(dataset, chosen)
