@@ -64,7 +64,7 @@ def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, 
 
 def test_trial_fits_are_finer_than_those_of_the_classes(scene):
     progress = RecordedDecisions()
-    settings = with_overrides(SETTINGS, ["first.trial_iterations=2", "first.trial_gaussians=20", "first.trial_resolution=16"])
+    settings = with_overrides(SETTINGS, ["first.trial_iterations=5", "first.trial_gaussians=20", "first.trial_resolution=16"])
     sizes, fits = [], []
     prepare = edge_selection.prepare_trial
 
@@ -77,6 +77,6 @@ def test_trial_fits_are_finer_than_those_of_the_classes(scene):
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(edge_selection, "prepare_trial", prepared)
         select_open_edges(scene[1], StartTrials(scene[0], settings, GLOSSY), progress)
-    assert sizes == [(50, 32, 4)] * 2
-    assert [(fit.done, fit.settings.single_rays) for fit in fits] == [(2, 1.0)] * 2  # edges are open to the end of such a trial
-    assert progress.phases == [("edges", 2)]
+    assert sizes == [(50, 32, 10)] * 2
+    assert [(fit.done, fit.settings.single_rays) for fit in fits] == [(3, 1.0)] * 2  # edges are open to the end of such a trial
+    assert progress.phases == [("edges", 3)]
