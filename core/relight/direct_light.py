@@ -48,19 +48,20 @@ def add_light_samples(
     n_c, n_g, n_e = counts
     if by_warp(sums):
         return _on_device(sums, points, shift, counts, light, query)
-    arrays = [t.contiguous().numpy() for t in (points.view, points.normal, points.alpha, shift, point_set(n_e))]
+    given = (points.view, points.normal, points.origin, points.alpha, shift, point_set(n_e))
+    arrays = [t.contiguous().numpy() for t in given]
     table = light.table.numpy()
     unoccluded = [visibility_cache.tile.numpy(), visibility_cache.clear.numpy(), BINS]
-    sample, direction, weights = np.empty((len(shift) * n_e, 3), np.int32), *np.empty((2, len(shift) * n_e, 3), np.float32)
+    sample, (weights, *rays) = np.empty((len(shift) * n_e, 3), np.int32), np.empty((3, len(shift) * n_e, 3), np.float32)
     ranges = even_ranges(len(shift), 4 * thread_count())
     counted = np.zeros((len(ranges), 2), np.int64)
-    out = (points.brdf == "irgs", sums.numpy(), sample, direction, weights, counted)
+    out = (points.brdf == "irgs", sums.numpy(), sample, *rays, weights, counted)
 
     def add(number: int, begin: int, end: int) -> None:
         light_range(number, begin, end, *arrays, n_c, n_g, table, light.turn, *unoccluded, *out)
         first, last = begin * n_e, begin * n_e + int(counted[number, 1])
         if last > first:
-            hidden = query.hidden(points.origin[sample[first:last, 0].astype(np.int64)], torch.from_numpy(direction[first:last]))
+            hidden = query.hidden(*(torch.from_numpy(part[first:last]) for part in rays))
             settle_range(first, last, sample, weights, hidden.numpy(), table, sums.numpy())
 
     run_ranges(add, ranges, numbered=True)

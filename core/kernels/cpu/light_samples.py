@@ -9,11 +9,16 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from ..constants import LEAST_ALPHA
 from .jit import helper, kernel
-from .reflection import irgs_terms, point_terms, specular_terms
+from .lobes import distribution, half_vector, masking_root
+from .reflection import irgs_terms
+from .simd import bits, first_bit, load, maximum, prefetch, splat, store
 
-LEAST_ALPHA2 = LEAST_ALPHA * LEAST_ALPHA
+LEAST_ALPHA2 = np.float32(LEAST_ALPHA * LEAST_ALPHA)
+_ZERO, _ONE, _HALF, _INVERSE_PI = np.float32(0.0), np.float32(1.0), np.float32(0.5), np.float32(1 / math.pi)
 
 
 @helper
@@ -28,6 +33,139 @@ def bin_of(x, y, z, bins):
 
 
 @helper
+def _place(points, shift_u, shift_v, table, entry):
+    """Write to `entry` (n_e,) the places in the table (T^2, 7) of a point's samples, and prefetch them: it lies outside the L1 cache."""
+    size = int(math.sqrt(len(table)))
+    for i in range(len(points)):
+        across, down = points[i, 0] + shift_u, points[i, 1] + shift_v
+        across, down = across - (across >= 1), down - (down >= 1)
+        entry[i] = int(down * size) * size + int(across * size)
+        prefetch(table, entry[i], 0)
+        prefetch(table, entry[i], 6)
+
+
+@helper
+def _draw(entry, first, cosine, sine, table, lanes):
+    """Write up to 8 samples from `first` on to `lanes` (56,): x, y, z, density and radiance.
+
+    Lanes without a sample have the direction 0, which is above no horizon.
+    """
+    for lane in range(8):
+        if first + lane >= len(entry):
+            lanes[lane], lanes[8 + lane], lanes[16 + lane], lanes[24 + lane] = _ZERO, _ZERO, _ZERO, _ONE
+            continue
+        at = entry[first + lane]
+        x, y = table[at, 0], table[at, 1]
+        lanes[lane], lanes[8 + lane] = cosine * x - sine * y, sine * x + cosine * y
+        for j in range(2, 7):
+            lanes[j * 8 + lane] = table[at, j]
+
+
+@helper
+def _mark_clear(lanes, clear, tile, bins, free):
+    """Write to `free` (8,) 1 where the direction of a lane is known to be unoccluded, else 0."""
+    for lane in range(8):
+        free[lane] = np.float32(clear[tile, bin_of(lanes[lane], lanes[8 + lane], lanes[16 + lane], bins)])
+
+
+@helper
+def _irgs_lanes(nx, ny, nz, vx, vy, vz, n_v, own2, lanes, n_l, value, bias):
+    """Write the parts of IRGS' lobe in the directions of the lanes, times n.l, to `value` and `bias` (8,)."""
+    for lane in range(8):
+        scaled = irgs_terms(nx, ny, nz, vx, vy, vz, lanes[lane], lanes[8 + lane], lanes[16 + lane], n_l[lane], n_v, own2)
+        value[lane], bias[lane] = scaled[0] * n_l[lane], scaled[1] * n_l[lane]
+
+
+@helper
+def _add_halves(lanes, sums, p):
+    """Add the 12 vectors of `lanes` (96,), lanes of even samples to the first half and the others to the second, to sums (P, 2, 12)."""
+    for channel in range(12):
+        at = channel * 8
+        sums[p, 0, channel] += (lanes[at] + lanes[at + 2]) + (lanes[at + 4] + lanes[at + 6])
+        sums[p, 1, channel] += (lanes[at + 1] + lanes[at + 3]) + (lanes[at + 5] + lanes[at + 7])
+
+
+@kernel
+def light_range(
+    number, begin, end, view, normal, origin, alpha, shift, points, n_c, n_g, table, turn, tile, clear, bins, irgs, sums, sample, start,
+    direction, weights, made
+):  # fmt: skip
+    """Draw the light samples above the horizon of points begin..end, 8 at a time, and sum those in unoccluded directions.
+
+    points: (n_e, 2) in [0, 1), shifted for each point. n_c, n_g: cosine and visible-normal samples that share the balance heuristic.
+    irgs: True for the lobe of IRGS' BRDF, whose alpha has no lower bound; that of the visible-normal samples has one.
+    table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: rotation, fraction of a turn.
+    tile: (P,) row of `clear` (tiles, bins^2), which marks unoccluded directions; samples there are added to `sums` (P, 2, 12) at once.
+    made: (ranges, 2) receives the number of samples above the horizon and of those to be traced. The latter are written from row
+    begin n_e on: sample (.., 3) point, half, entry of the table; start and direction (.., 3) of the ray; weights (.., 3) of the three lobes.
+    """
+    n_e, entries = len(points), table.reshape(-1, 7)
+    cosine, sine = np.float32(math.cos(2 * math.pi * turn)), np.float32(math.sin(2 * math.pi * turn))
+    lanes, sent, acc = np.zeros(56, np.float32), np.zeros(24, np.float32), np.empty(96, np.float32)
+    free, cosines = np.zeros(8, np.float32), np.zeros(8, np.float32)
+    entry, coming = np.zeros(n_e, np.int64), np.zeros(n_e, np.int64)  # places of this point's samples, and of the next one's
+    zero, to, above = splat(_ZERO), begin * n_e, 0
+    for p in range(begin, end):
+        nx, ny, nz, vx, vy, vz = normal[p, 0], normal[p, 1], normal[p, 2], view[p, 0], view[p, 1], view[p, 2]
+        n_v, own2 = nx * vx + ny * vy + nz * vz, alpha[p] * alpha[p]
+        a2 = max(own2, LEAST_ALPHA2)
+        root_v = masking_root(n_v, a2)
+        masked = np.float32(n_g) * _HALF / (n_v + root_v)
+        acc[:] = _ZERO
+        if p == begin:
+            _place(points, shift[p, 0], shift[p, 1], entries, coming)
+        entry, coming = coming, entry
+        after = min(p + 1, end - 1)
+        _place(points, shift[after, 0], shift[after, 1], entries, coming)
+        for first in range(0, n_e, 8):
+            _draw(entry, first, cosine, sine, entries, lanes)
+            dx, dy, dz = load(lanes, 0), load(lanes, 8), load(lanes, 16)
+            n_l = dx * nx + dy * ny + dz * nz
+            left = bits(n_l > zero)
+            if left == 0:
+                continue
+            n_l = maximum(n_l, zero)
+            sine2, fresnel = half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
+            value, k = distribution(sine2, n_l, n_v, root_v, a2)
+            # D in the density of visible normals is that of the lobe without its factor V.
+            q = load(lanes, 24) * np.float32(n_e) + n_l * (np.float32(n_c) * _INVERSE_PI) + (masked * a2 * _INVERSE_PI) / (k * k)
+            bias = value * fresnel
+            value = value - bias
+            if irgs:
+                store(cosines, 0, n_l)
+                _irgs_lanes(nx, ny, nz, vx, vy, vz, n_v, own2, lanes, cosines, sent, free)
+                value, bias = load(sent, 0), load(free, 0)
+            inverse = _ONE / q
+            weight, value, bias = n_l * inverse, value * inverse, bias * inverse
+            _mark_clear(lanes, clear, tile[p], bins, free)
+            seen = load(free, 0)
+            for channel in range(3):
+                light = load(lanes, 32 + channel * 8)
+                at = channel * 8
+                store(acc, at + 72, load(acc, at + 72) + weight * light)
+                light = light * seen
+                store(acc, at, load(acc, at) + weight * light)
+                store(acc, at + 24, load(acc, at + 24) + value * light)
+                store(acc, at + 48, load(acc, at + 48) + bias * light)
+            store(sent, 0, weight)
+            store(sent, 8, value)
+            store(sent, 16, bias)
+            while left != 0:
+                lane = first_bit(np.uint64(left))
+                left &= left - np.uint32(1)
+                above += 1
+                if free[lane] > _ZERO:
+                    continue
+                sample[to, 0], sample[to, 1], sample[to, 2] = p, lane & 1, entry[first + lane]
+                for axis in range(3):
+                    start[to, axis], direction[to, axis] = origin[p, axis], lanes[axis * 8 + lane]
+                    weights[to, axis] = sent[axis * 8 + lane]
+                to += 1
+        _add_halves(acc, sums, p)
+    made[number, 0], made[number, 1] = above, to - begin * n_e
+
+
+@helper
 def _add(sums, p, half, weight, value, bias, r, g, b):
     """Add arriving light r, g, b to a point's sums of the three lobes."""
     sums[p, half, 0] += weight * r
@@ -39,62 +177,6 @@ def _add(sums, p, half, weight, value, bias, r, g, b):
     sums[p, half, 6] += bias * r
     sums[p, half, 7] += bias * g
     sums[p, half, 8] += bias * b
-
-
-@kernel
-def light_range(
-    number, begin, end, view, normal, alpha, shift, points, n_c, n_g, table, turn, tile, clear, bins, irgs, sums, sample, direction,
-    weights, made
-):  # fmt: skip
-    """Draw the light samples above the horizon of points begin..end, and sum those in unoccluded directions.
-
-    points: (n_e, 2) in [0, 1), shifted for each point. n_c, n_g: cosine and visible-normal samples that share the balance heuristic.
-    irgs: True for the lobe of IRGS' BRDF, whose alpha has no lower bound; that of the visible-normal samples has one.
-    table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: rotation, fraction of a turn.
-    tile: (P,) row of `clear` (tiles, bins^2), which marks unoccluded directions; samples there are added to `sums` (P, 2, 12) at once.
-    made: (ranges, 2) receives the number of samples above the horizon and of those to be traced. The latter are written from row
-    begin n_e on: sample (.., 3) point, half, entry of the table; direction (.., 3); weights (.., 3) of the three lobes.
-    """
-    n_e, size = len(points), table.shape[0]
-    cosine, sine = math.cos(2 * math.pi * turn), math.sin(2 * math.pi * turn)
-    to, above = begin * n_e, 0
-    for p in range(begin, end):
-        (nx, ny, nz), (vx, vy, vz), own2, n_v, root_v = point_terms(view, normal, alpha, p)
-        a2 = max(own2, LEAST_ALPHA2)
-        if irgs:
-            root_v = math.sqrt(n_v * n_v * (1 - a2) + a2)
-        masked = 0.5 / (n_v + root_v)
-        for i in range(n_e):
-            across, down = points[i, 0] + float(shift[p, 0]), points[i, 1] + float(shift[p, 1])
-            across, down = across - (across >= 1), down - (down >= 1)
-            row, column = int(down * size), int(across * size)
-            x, y, dz = float(table[row, column, 0]), float(table[row, column, 1]), float(table[row, column, 2])
-            dx, dy = cosine * x - sine * y, sine * x + cosine * y
-            n_l = nx * dx + ny * dy + nz * dz
-            if n_l <= 0:
-                continue
-            value, bias = specular_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, root_v, a2)
-            # D in the density of visible normals is that of the lobe without its factor 0.5 / sum_l.
-            sum_l = n_l * root_v + n_v * math.sqrt(n_l * n_l * (1 - a2) + a2)
-            q = n_e * float(table[row, column, 3]) + n_c / math.pi * n_l + n_g * masked * (value + bias) * 2 * sum_l
-            if irgs:
-                value, bias = irgs_terms(nx, ny, nz, vx, vy, vz, dx, dy, dz, n_l, n_v, own2)
-            weight = n_l / q
-            value, bias = value * weight, bias * weight
-            r, g, b = float(table[row, column, 4]), float(table[row, column, 5]), float(table[row, column, 6])
-            half = i & 1
-            above += 1
-            sums[p, half, 9] += weight * r
-            sums[p, half, 10] += weight * g
-            sums[p, half, 11] += weight * b
-            if clear[tile[p], bin_of(dx, dy, dz, bins)]:
-                _add(sums, p, half, weight, value, bias, r, g, b)
-                continue
-            sample[to, 0], sample[to, 1], sample[to, 2] = p, half, row * size + column
-            direction[to, 0], direction[to, 1], direction[to, 2] = dx, dy, dz
-            weights[to, 0], weights[to, 1], weights[to, 2] = weight, value, bias
-            to += 1
-    made[number, 0], made[number, 1] = above, to - begin * n_e
 
 
 @kernel

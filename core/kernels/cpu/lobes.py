@@ -25,7 +25,7 @@ _VECTOR = 56  # numbers stored of 8 directions, see `_store_directions`
 
 
 @helper
-def _half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
+def half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
     """Return sin^2 of the angle between the normal and the half vector, and the Fresnel weight w, in 8 directions.
 
     D is computed from this sine: near 1 the cosine has no significant digits left.
@@ -39,14 +39,14 @@ def _half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
 
 
 @helper
-def _masking_root(n_v, a2):
+def masking_root(n_v, a2):
     """Return sqrt((n.v)^2 (1 - alpha^2) + alpha^2), a part of V."""
     return np.float32(math.sqrt(n_v * n_v * (_ONE - a2) + a2))
 
 
 @helper
-def _distribution(sine2, n_l, n_v, n_v_root, a2):
-    """Return D V n.l, and sin^2 (n, h) + alpha^2, about, in 8 directions; n_v_root: from `_masking_root`."""
+def distribution(sine2, n_l, n_v, n_v_root, a2):
+    """Return D V n.l, and sin^2 (n, h) + alpha^2, about, in 8 directions; n_v_root: from `masking_root`."""
     k = sine2 * (_ONE - a2) + a2
     both = n_l * n_v_root + sqrt(n_l * n_l * (_ONE - a2) + a2) * n_v
     return n_l * (a2 * _HALF_PI) / (k * k * both), k
@@ -55,8 +55,8 @@ def _distribution(sine2, n_l, n_v, n_v_root, a2):
 @helper
 def _lobe(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l, a2):
     """Return D V n.l, the Fresnel weight w and sin^2 (n, h) + alpha^2, about, in 8 directions with n_l >= 0."""
-    sine2, weight = _half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
-    value, k = _distribution(sine2, n_l, n_v, _masking_root(n_v, a2), a2)
+    sine2, weight = half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
+    value, k = distribution(sine2, n_l, n_v, masking_root(n_v, a2), a2)
     return value, weight, k
 
 
@@ -142,9 +142,9 @@ def lobe_rows_range(
 
 
 @helper
-def _store_half_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
+def _storehalf_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
     """Store sin^2 (n, h), n.l and w of 8 directions from known[to] on."""
-    sine2, weight = _half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
+    sine2, weight = half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
     store(known, to, sine2)
     store(known, to + 8, n_l)
     store(known, to + 16, weight)
@@ -153,7 +153,7 @@ def _store_half_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
 @helper
 def _stored_lobe(known, to, n_v, n_v_root, a2):
     """Return D V n.l (1 - w), D V n.l w and sin^2 (n, h) + alpha^2, about, in the 8 directions stored from known[to] on."""
-    value, k = _distribution(load(known, to), load(known, to + 8), n_v, n_v_root, a2)
+    value, k = distribution(load(known, to), load(known, to + 8), n_v, n_v_root, a2)
     bias = value * load(known, to + 16)
     return value - bias, bias, k
 
@@ -173,7 +173,7 @@ def _store_directions(known, place, p, texels, subs, vx, vy, vz, nx, ny, nz, n_v
                 continue
             to, place[above] = _VECTOR * above, at
             above += 1
-            _store_half_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero))
+            _storehalf_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero))
             angle, free = load(solid_angle, at), load(visible, p * count + at)
             store(known, to + 24, select(n_l > _ZERO, angle * _NARROW, zero))
             for channel in range(3):
@@ -197,7 +197,7 @@ def _listed_peaks(lanes, first, j, peaks, narrow, listed):
 @helper
 def _sum_directions(known, above, j, n_v, a2, peaks, narrow, listed, f0_term, fresnel_term):
     """Set row j of the sums (J, 3) to those over the stored directions; list those whose lobe is a mean, and return the list's length."""
-    zero, n_v_root = splat(_ZERO), _masking_root(n_v, a2)
+    zero, n_v_root = splat(_ZERO), masking_root(n_v, a2)
     r0, r1, r2, s0, s1, s2 = zero, zero, zero, zero, zero, zero
     for i in range(above):
         to = _VECTOR * i
@@ -223,13 +223,13 @@ def _store_strata(within, place, narrow, listed, vx, vy, vz, nx, ny, nz, n_v, st
         for part in range(0, _PER_STRATUM, 8):
             dx, dy, dz = load(strata, at + part), load(strata, at + _PER_STRATUM + part), load(strata, at + 2 * _PER_STRATUM + part)
             n_l = maximum(dx * nx + dy * ny + dz * nz, splat(_ZERO))
-            _store_half_vector(within, 3 * (i * _PER_STRATUM + part), vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
+            _storehalf_vector(within, 3 * (i * _PER_STRATUM + part), vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
 
 
 @helper
 def _add_means(known, within, narrow, listed, peaks, j, n_v, a2, f0_term, fresnel_term):
     """Add to row j of the sums (J, 3) the lobe's mean within each listed direction with bit j, times its light."""
-    zero, n_v_root = splat(_ZERO), _masking_root(n_v, a2)
+    zero, n_v_root = splat(_ZERO), masking_root(n_v, a2)
     r0, r1, r2, s0, s1, s2 = zero, zero, zero, zero, zero, zero
     for i in range(listed):
         at = narrow[i]
