@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ..kernels.cpu.bilateral import correct_range, mean_range, smooth_range, weigh_range
+from ..kernels.cpu.reflected_light import demodulate_range, remodulate_range
 from ..machine.backend import by_warp, send
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance
@@ -133,22 +134,27 @@ class Guides:
         run_ranges(mean_range, self._ranges, *self._arguments(bilateral), planes, out)
         return self._gathered(out)
 
-    def corrected(self, values: torch.Tensor, variance: torch.Tensor, chance: float, bilateral: Filter) -> torch.Tensor:
-        """Return denoised values (P, 3), as the function `corrected` describes.
+    def corrected(self, light: torch.Tensor, split: torch.Tensor, albedo: torch.Tensor, chance: float, bilateral: Filter) -> torch.Tensor:
+        """Return the denoised light of a lobe, (P, 3).
 
         Args:
-            values: (P, 3) noisy values.
-            variance: (P, 1) of them.
+            light: see `corrected_reference`, which defines the result.
+            split: see there.
+            albedo: see there.
             chance: see there.
             bilateral: widths of the filter.
         """
         if self._index is not None:
-            return corrected_reference(values, variance, chance, self, bilateral)
-        planes, arguments = self._scattered(torch.cat([values, variance], 1).T), self._arguments(bilateral)
-        smooth, out, change = np.empty_like(planes), np.empty_like(planes[: 3 * self._grid.plane]), np.zeros(self._grid.plane, np.float32)
+            return corrected_reference(light, split, albedo, chance, self, bilateral)
+        points, plane = even_ranges(len(light), thread_count()), self._grid.plane
+        at, arguments = (albedo.numpy(), self._places, plane), self._arguments(bilateral)
+        planes, smooth = np.zeros(4 * plane, np.float32), np.empty(4 * plane, np.float32)
+        out, change, result = np.empty(3 * plane, np.float32), np.zeros(plane, np.float32), np.empty((len(light), 3), np.float32)
+        run_ranges(demodulate_range, points, light.contiguous().numpy(), split.contiguous().numpy(), *at, planes)
         run_ranges(smooth_range, self._ranges, *arguments, planes, smooth, change)
         run_ranges(correct_range, self._ranges, *arguments, planes, smooth, change, np.float32(chance), out)
-        return self._gathered(out)
+        run_ranges(remodulate_range, points, out, *at, result)
+        return torch.from_numpy(result)
 
     @property
     def _ranges(self) -> list[tuple[int, int]]:
@@ -198,10 +204,9 @@ def denoised(estimate: Estimate, guides: Guides, mode: str = "demodulated") -> t
         return estimate.diffuse + estimate.specular
     if mode == "paper":
         return guides.filtered(estimate.diffuse + estimate.specular, IMAGE)
-    chance, diffuse, specular = (CHANCE_ERROR / estimate.samples) ** 2, guides.diffuse, guides.specular
-    filtered_diffuse = corrected(estimate.diffuse / diffuse, estimate.diffuse_split / diffuse, chance, guides, DIFFUSE)
-    filtered_specular = corrected(estimate.specular / specular, estimate.specular_split / specular, 0.0, guides, SPECULAR)
-    return filtered_diffuse * diffuse + filtered_specular * specular
+    chance = (CHANCE_ERROR / estimate.samples) ** 2
+    diffuse = guides.corrected(estimate.diffuse, estimate.diffuse_split, guides.diffuse, chance, DIFFUSE)
+    return diffuse + guides.corrected(estimate.specular, estimate.specular_split, guides.specular, 0.0, SPECULAR)
 
 
 def _lobe_albedos(surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor]:
@@ -212,41 +217,34 @@ def _lobe_albedos(surface: PrimaryHits) -> tuple[torch.Tensor, torch.Tensor]:
     return diffuse.clamp_min(LEAST_ALBEDO), specular.clamp_min(LEAST_ALBEDO)
 
 
-def corrected(values: torch.Tensor, split: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:
-    """Filter values, and blend the original values back in where the filter changed them by more than their noise.
+def corrected_reference(
+    light: torch.Tensor, split: torch.Tensor, albedo: torch.Tensor, chance: float, guides: Guides, bilateral: Filter
+) -> torch.Tensor:
+    """Filter light over albedo, and blend what was there back in where the filter changed it by more than its noise.
 
     With x the value and f the filtered one, f + k (x - f) has the least error for k = 1 - var(x) / E[(x - f)^2] (James and Stein 1961),
     both as means over the filter's neighbourhood. Therefore edges remain, and with many samples the image converges.
 
+    This is the definition by PyTorch operations: on a GPU, and as the reference of the CPU's kernels (`Guides.corrected`).
+
     Args:
-        values: (P, 3) noisy values.
-        split: (P, 3) difference of their two halves of samples, see `Estimate`.
+        light: (P, 3) noisy light of a lobe.
+        split: (P, 3) difference of its two halves of samples, see `Estimate`.
+        albedo: (P, 3) of the lobe, not 0.
         chance: squared relative error to assume even where both halves agree, since both may have missed the same lamp.
         guides: guide layers of the surface.
         bilateral: widths of the filter.
 
     Returns:
-        (P, 3) denoised values.
+        (P, 3) denoised light.
     """
-    return guides.corrected(values, split.square().mean(1, keepdim=True), chance, bilateral)
-
-
-def corrected_reference(values: torch.Tensor, variance: torch.Tensor, chance: float, guides: Guides, bilateral: Filter) -> torch.Tensor:
-    """Do the same as `Guides.corrected` by PyTorch operations: on a GPU, and as the reference of the CPU's kernels.
-
-    Args:
-        values: (P, 3) noisy values.
-        variance: (P, 1) of them.
-        chance: see `corrected`.
-        guides: guide layers of the surface.
-        bilateral: widths of the filter.
-    """
+    values, variance = light / albedo, (split / albedo).square().mean(1, keepdim=True)
     smooth = guides.filtered(torch.cat([values, variance], 1), bilateral)
     smooth, variance = smooth[:, :3], smooth[:, 3:]
     variance = variance + chance * smooth.square().mean(1, keepdim=True)
     change = guides.filtered((values - smooth).square().mean(1, keepdim=True), bilateral)
     keep = (1 - variance / change.clamp_min(1e-36)).clamp(0, 1)
-    return smooth + keep * (values - smooth)
+    return (smooth + keep * (values - smooth)) * albedo
 
 
 def _guides(surface: PrimaryHits) -> torch.Tensor:

@@ -6,8 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
+from ..kernels.cpu.reflected_light import estimate_range
+from ..machine.backend import by_warp
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..shading.brdf import base_reflectance, bend_view_to_normal
 from ..shading.environment_lookup import direction_to_uv
 from ..shading.specular_albedo import diffuse_fraction
@@ -81,18 +85,41 @@ def estimate_reflected_light(
         light: the light of the sums.
         ratio: use the known irradiance; False: the plain sums over samples, as in the paper.
     """
-    sums, lamps = sums[..., :SUMS], sums[..., SUMS:]
+    known = light.irradiance_at(*reflectance.place) if ratio else None
+    by_map = sums[..., :SUMS], samples, reflectance, known
+    estimate = estimate_reference(*by_map) if by_warp(sums) else _estimate(*by_map)
+    return _plus_lamps(estimate, sums[..., SUMS:], reflectance.diffuse, reflectance.f0) if sums.shape[-1] > SUMS else estimate
+
+
+def _estimate(sums: torch.Tensor, samples: int, reflectance: Reflectance, known: torch.Tensor | None) -> Estimate:
+    """Do the same as `estimate_reference` by the CPU's kernel."""
+    tensors = (sums, reflectance.diffuse if known is None else known, reflectance.diffuse, reflectance.f0)
+    out = np.empty((4, len(sums), 3), np.float32)
+    arrays = [t.float().contiguous().numpy() for t in tensors]
+    parts = even_ranges(len(sums), thread_count())
+    run_ranges(estimate_range, parts, *arrays, known is not None, np.float32(MAX_CORRECTION), out)
+    diffuse, specular, diffuse_split, specular_split = torch.from_numpy(out)
+    return Estimate(diffuse, specular, diffuse_split, specular_split, samples)
+
+
+def estimate_reference(sums: torch.Tensor, samples: int, reflectance: Reflectance, known: torch.Tensor | None) -> Estimate:
+    """Return the light of a map that P points reflect, by PyTorch operations: on a GPU, and as the reference of the CPU's kernel.
+
+    Args:
+        sums: (P, 2, 12) sums over even and odd samples.
+        samples: samples per point.
+        reflectance: of the P points.
+        known: (P, 3) unoccluded irradiance; None: the plain sums over samples.
+    """
     (irradiance, f0_term, fresnel_term, unoccluded), split = sums.sum(1).view(-1, 4, 3).unbind(1), (sums[:, 0] - sums[:, 1]).view(-1, 4, 3)
     albedo, f0 = reflectance.diffuse, reflectance.f0
     body, diffuse_split = albedo, albedo * split[:, 0]
-    if ratio:
-        known = light.irradiance_at(*reflectance.place)
+    if known is not None:
         factor = torch.where(unoccluded > 0, known / unoccluded.clamp_min(1e-30), 1.0).clamp(1 / MAX_CORRECTION, MAX_CORRECTION)
         body = albedo * factor
         visible_fraction = irradiance / unoccluded.clamp_min(1e-30)
         diffuse_split = body * (split[:, 0] - torch.where(unoccluded > 0, visible_fraction * split[:, 3], 0.0))
-    estimate = Estimate(body * irradiance, f0 * f0_term + fresnel_term, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
-    return _plus_lamps(estimate, lamps, albedo, f0) if lamps.shape[-1] else estimate
+    return Estimate(body * irradiance, f0 * f0_term + fresnel_term, diffuse_split, f0 * split[:, 1] + split[:, 2], samples)
 
 
 def joined_estimate(divided: DividedHits, single: Estimate, rays: Estimate) -> Estimate:

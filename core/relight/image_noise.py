@@ -4,8 +4,8 @@
 The error is the root mean square of the sRGB image in 0..1 over the object's pixels and channels, against the converged image. The two
 halves of the samples tell the variance V of a pixel x. Where the denoiser changes x to f, Stein's unbiased risk estimate (1981) is
 E (f - mean)^2 = D - V + 2 V df/dx with D = E (x - f)^2, all as means over a tile. The denoiser keeps k = B / (B + V) of x, B its squared
-bias (see `corrected` in `denoise.py`), so that D = V^2 / (B + V) tells B, and a fraction MIXED_FRACTION / 2 of the rest is x itself. Then
-df/dx is k + (1 - k) MIXED_FRACTION / 2, and the risk V (k + (1 - k) MIXED_FRACTION), to which comes what D exceeds V by.
+bias (see `corrected_reference` in `denoise.py`), so that D = V^2 / (B + V) tells B, and a fraction MIXED_FRACTION / 2 of the rest is x
+itself. Then df/dx is k + (1 - k) MIXED_FRACTION / 2, and the risk V (k + (1 - k) MIXED_FRACTION), to which comes what D exceeds V by.
 """
 
 from __future__ import annotations

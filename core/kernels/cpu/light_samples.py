@@ -97,7 +97,7 @@ def light_range(
     table: (T, T, 7) direction, density and radiance over the unit square of the light's distribution; turn: rotation, fraction of a turn.
     tile: (P,) row of `clear` (tiles, bins^2), which marks unoccluded directions; samples there are added to `sums` (P, 2, 12) at once.
     made: (ranges, 2) receives the number of samples above the horizon and of those to be traced. The latter are written from row
-    begin n_e on: sample (.., 3) point, half, entry of the table; start and direction (.., 3) of the ray; weights (.., 3) of the three lobes.
+    begin n_e on: sample (.., 3) point, half, entry of the table; start and direction (.., 3) of the ray; weights (.., 3) of the lobes.
     """
     n_e, entries = len(points), table.reshape(-1, 7)
     cosine, sine = np.float32(math.cos(2 * math.pi * turn)), np.float32(math.sin(2 * math.pi * turn))

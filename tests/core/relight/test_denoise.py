@@ -126,9 +126,9 @@ def test_empty_image():
 @pytest.mark.parametrize("kept", [False, True])
 def test_corrected_equals_its_reference(kept):
     surface = plane(0.5, torch.rand(43, 61, generator=torch.Generator().manual_seed(4)) > 0.2)
-    values, variance = noise(surface), 0.05 * noise(surface, 1).square()
+    light, split, albedo = noise(surface), 0.3 * torch.randn(len(surface.index), 3), 0.2 + torch.rand(len(surface.index), 3)
     guides = Guides(surface, 1.0, kept)
     for chance in (0.0, 0.1):
-        expected = corrected_reference(values, variance, chance, guides, SPECULAR)
-        assert torch.allclose(guides.corrected(values, variance, chance, SPECULAR), expected, atol=1e-5)
-    assert (expected - values).abs().max() > 0.1
+        expected = corrected_reference(light, split, albedo, chance, guides, SPECULAR)
+        assert torch.allclose(guides.corrected(light, split, albedo, chance, SPECULAR), expected, atol=1e-5)
+    assert (expected - light).abs().max() > 0.1
