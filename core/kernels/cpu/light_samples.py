@@ -62,9 +62,12 @@ def _draw(entry, first, cosine, sine, table, lanes):
 
 
 @helper
-def _mark_clear(lanes, clear, tile, bins, free):
-    """Write to `free` (8,) 1 where the direction of a lane is known to be unoccluded, else 0."""
-    for lane in range(8):
+def _mark_clear(lanes, left, clear, tile, bins, free):
+    """Write to `free` (8,) 1 where the direction of a lane in the bits `left` is known to be unoccluded, else 0."""
+    free[:] = _ZERO
+    while left != 0:
+        lane = first_bit(np.uint64(left))
+        left &= left - np.uint32(1)
         free[lane] = np.float32(clear[tile, bin_of(lanes[lane], lanes[8 + lane], lanes[16 + lane], bins)])
 
 
@@ -137,7 +140,7 @@ def light_range(
                 value, bias = load(sent, 0), load(free, 0)
             inverse = _ONE / q
             weight, value, bias = n_l * inverse, value * inverse, bias * inverse
-            _mark_clear(lanes, clear, tile[p], bins, free)
+            _mark_clear(lanes, left, clear, tile[p], bins, free)
             seen = load(free, 0)
             for channel in range(3):
                 light = load(lanes, 32 + channel * 8)

@@ -142,7 +142,7 @@ def lobe_rows_range(
 
 
 @helper
-def _storehalf_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
+def _store_half_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
     """Store sin^2 (n, h), n.l and w of 8 directions from known[to] on."""
     sine2, weight = half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
     store(known, to, sine2)
@@ -173,7 +173,7 @@ def _store_directions(known, place, p, texels, subs, vx, vy, vz, nx, ny, nz, n_v
                 continue
             to, place[above] = _VECTOR * above, at
             above += 1
-            _storehalf_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero))
+            _store_half_vector(known, to, vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, maximum(n_l, zero))
             angle, free = load(solid_angle, at), load(visible, p * count + at)
             store(known, to + 24, select(n_l > _ZERO, angle * _NARROW, zero))
             for channel in range(3):
@@ -223,7 +223,7 @@ def _store_strata(within, place, narrow, listed, vx, vy, vz, nx, ny, nz, n_v, st
         for part in range(0, _PER_STRATUM, 8):
             dx, dy, dz = load(strata, at + part), load(strata, at + _PER_STRATUM + part), load(strata, at + 2 * _PER_STRATUM + part)
             n_l = maximum(dx * nx + dy * ny + dz * nz, splat(_ZERO))
-            _storehalf_vector(within, 3 * (i * _PER_STRATUM + part), vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
+            _store_half_vector(within, 3 * (i * _PER_STRATUM + part), vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l)
 
 
 @helper

@@ -26,10 +26,10 @@ def estimate_range(begin, end, sums, known, body, f0, by_ratio, most, out):
             irradiance, split, albedo = even + odd, even - odd, body[p, c]
             if by_ratio:
                 even, odd = sums[p, 0, 9 + c], sums[p, 1, 9 + c]
-                open_sky = even + odd
-                if open_sky > _ZERO:
-                    albedo *= min(max(known[p, c] / open_sky, least), most)
-                    split -= irradiance / open_sky * (even - odd)
+                unoccluded = even + odd
+                if unoccluded > _ZERO:
+                    albedo *= min(max(known[p, c] / unoccluded, least), most)
+                    split -= irradiance / unoccluded * (even - odd)
             out[0, p, c], out[2, p, c] = albedo * irradiance, albedo * split
             even = f0[p, c] * sums[p, 0, 3 + c] + sums[p, 0, 6 + c]
             odd = f0[p, c] * sums[p, 1, 3 + c] + sums[p, 1, 6 + c]
