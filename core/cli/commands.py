@@ -262,6 +262,22 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
     return 0
 
 
+def compile_kernels(args: argparse.Namespace, terminal: Terminal) -> int:
+    """Compile the CPU kernels that the first job would compile otherwise.
+
+    Args:
+        args: options of the command.
+        terminal: receives the progress.
+    """
+    with quick_imports():
+        from ..kernel_cache import fill_kernel_cache
+
+    compiled = fill_kernel_cache(terminal)
+    terminal.end_line()
+    print("the kernels are compiled" if compiled else "the kernels were compiled before")
+    return 0
+
+
 def devices(args: argparse.Namespace, terminal: Terminal) -> int:
     """Print the devices that can compute.
 

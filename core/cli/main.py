@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Entry point of the command line: `irgspp demo|inspect|capture|reconstruct|render|serve|evaluate|batch|export|bake|devices`."""
+"""Entry point of the command line: `irgspp demo|inspect|capture|reconstruct|render|serve|evaluate|batch|export|bake|devices|compile`."""
 
 from __future__ import annotations
 

@@ -41,6 +41,7 @@ def parser() -> argparse.ArgumentParser:
         _add_bake,
         _add_batch,
         _add_devices,
+        _add_compile,
     ):
         add(subparsers)
     return top
@@ -182,6 +183,10 @@ def _add_batch(subparsers: Subparsers) -> None:
 def _add_devices(subparsers: Subparsers) -> None:
     one = _command(subparsers, "devices", commands.devices, "print the devices that can compute")
     one.add_argument("--json", action="store_true", help="print one JSON object, for programs")
+
+
+def _add_compile(subparsers: Subparsers) -> None:
+    _command(subparsers, "compile", commands.compile_kernels, "compile the kernels for this processor, so that the first job need not")
 
 
 def _command(

@@ -12,20 +12,33 @@ from numba.core import event
 COMPILE = "numba:compile"  # numba's event; it does not occur where a kernel comes from the cache on the disk
 
 
-class _First(event.Listener):
-    """Calls a function at the first compilation."""
+class _Listener(event.Listener):
+    """Calls a function when a compilation begins."""
 
-    def __init__(self, announce: Callable[[], object]) -> None:
-        self._announce, self._announced = announce, False
+    def __init__(self, called: Callable[[], object]) -> None:
+        self._called = called
 
     def on_start(self, event: Any) -> None:
         """Take note of the beginning of a compilation."""
-        if not self._announced:
-            self._announced = True
-            self._announce()
+        self._called()
 
     def on_end(self, event: Any) -> None:
         """Take note of the end of a compilation."""
+
+
+@contextmanager
+def compilations_reported(report: Callable[[], object]) -> Iterator[None]:
+    """Call `report`, in any thread, whenever a kernel or a helper of one is compiled within the block.
+
+    Args:
+        report: called without arguments.
+    """
+    listener = _Listener(report)
+    event.register(COMPILE, listener)
+    try:
+        yield
+    finally:
+        event.unregister(COMPILE, listener)
 
 
 @contextmanager
@@ -35,9 +48,13 @@ def compilation_announced(announce: Callable[[], object]) -> Iterator[None]:
     Args:
         announce: called without arguments.
     """
-    listener = _First(announce)
-    event.register(COMPILE, listener)
-    try:
+    announced = False
+
+    def first() -> None:
+        nonlocal announced
+        if not announced:
+            announced = True
+            announce()
+
+    with compilations_reported(first):
         yield
-    finally:
-        event.unregister(COMPILE, listener)

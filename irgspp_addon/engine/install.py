@@ -110,8 +110,9 @@ def run(command: list, report: Report, on_line=lambda line: None) -> None:
         on_line: function called with each line of output.
     """
     lines, recent = queue.Queue(), []
+    own = {name: value for name, value in os.environ.items() if name != "IRGSPP_JOB"}  # the report of this job is the installer's alone
     process = subprocess.Popen(
-        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace"
+        command, stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace", env=own
     )
     reader = threading.Thread(target=lambda: [*map(lines.put, process.stdout or ())], daemon=True)  # on Windows one can't wait for pipes
     reader.start()
@@ -164,12 +165,33 @@ def _install(args, report: Report) -> None:
     report.record(phase="check", step=0, of=1, message="Checking")
     answers = []
     run([str(python), args.launcher, "__main__", "devices", "--json"], report, answers.append)
+    compile_kernels(python, args.launcher, report)
     digest = hashlib.sha256(Path(args.lock).read_bytes()).hexdigest()
     marker = {"lock": digest, "device": args.device, "python": f"{version[0]}.{version[1]}"}
     (partial / MARKER).write_text(json.dumps(marker), encoding="utf-8")
     _replace(partial, target)
     report.record(phase="done", step=1, of=1, message="Installed")
     print("\n".join(answers))  # the engine's answer to `devices --json`
+
+
+def compile_kernels(python: Path, launcher: str, report: Report) -> None:
+    """Let the engine compile its kernels, which takes half a minute, so that the first job need not.
+
+    Args:
+        python: the engine's Python.
+        launcher: script that starts the engine's commands.
+        report: progress recorder, asked for cancellation.
+    """
+
+    def record(percent: int) -> None:
+        report.record(phase="kernels", step=percent, of=100, message="Compiling kernels for this processor")
+
+    def on_line(line: str) -> None:
+        if found := re.search(r"(\d+)%", line):
+            record(int(found[1]))
+
+    record(0)
+    run([str(python), launcher, "__main__", "compile"], report, on_line)
 
 
 def known_files(hashes: str) -> dict:

@@ -37,7 +37,7 @@ def script(tmp_path, monkeypatch):
             (venv / "python").touch()
             for left in (module.STAMP, module.UNFINISHED):
                 left.unlink(missing_ok=True)
-        return module.statuses.get(next((word for word in ("venv", "pip", "pytest", "demo") if word in command), ""), 0)
+        return module.statuses.get(next((word for word in ("venv", "pip", "compile", "pytest", "demo") if word in command), ""), 0)
 
     monkeypatch.setattr(module, "call", call)
     monkeypatch.setattr(module, "works", lambda python: python.exists())
@@ -46,12 +46,12 @@ def script(tmp_path, monkeypatch):
 
 
 def kinds(calls):
-    return [next(word for word in ("-m venv", "--editable", "-r ", "pytest", "demo") if word in c) for c in calls]
+    return [next(word for word in ("-m venv", "--editable", "-r ", "irgspp compile", "pytest", "demo") if word in c) for c in calls]
 
 
 def test_first_set_up_then_nothing(script):
     assert script.main(["setup"]) == 0
-    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
     script.calls.clear()
     assert script.main(["setup"]) == 0
     assert script.calls == []
@@ -62,7 +62,7 @@ def test_changed_lock_installs_into_the_same_environment(script):
     script.calls.clear()
     script.LOCK.write_text("numpy==2.0.0\n")
     script.main(["setup"])
-    assert kinds(script.calls) == ["-r ", "--editable"]
+    assert kinds(script.calls) == ["-r ", "--editable", "irgspp compile"]
 
 
 @pytest.mark.parametrize(("status", "code"), [(1, 2), (130, 130)])
@@ -75,7 +75,14 @@ def test_interrupted_set_up_is_made_anew(script, status, code):
     script.calls.clear()
     script.statuses.clear()
     script.main(["setup"])
-    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
+
+
+def test_without_compiled_kernels_the_rest_is_set_up(script, capsys):
+    script.statuses["compile"] = 1
+    assert script.main(["demo"]) == 0
+    assert script.calls[-1].endswith("irgspp demo -o demo")
+    assert "the first job compiles" in capsys.readouterr().err
 
 
 def test_broken_environment_is_made_anew(script):
@@ -83,7 +90,7 @@ def test_broken_environment_is_made_anew(script):
     script.PYTHON.unlink()
     script.calls.clear()
     script.main(["setup"])
-    assert kinds(script.calls) == ["-m venv", "-r ", "--editable"]
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
 
 
 def test_arguments_and_exit_status_are_passed_on(script):

@@ -29,6 +29,19 @@ def half_vector(vx, vy, vz, nx, ny, nz, n_v, dx, dy, dz, n_l):
     """Return sin^2 of the angle between the normal and the half vector, and the Fresnel weight w, in 8 directions.
 
     D is computed from this sine: near 1 the cosine has no significant digits left.
+
+    Args:
+        vx: x of the direction to the camera; vy and vz follow.
+        vy: see vx.
+        vz: see vx.
+        nx: x of the normal; ny and nz follow.
+        ny: see nx.
+        nz: see nx.
+        n_v: cosine of the two.
+        dx: vector of x of the directions to the light; dy and dz follow.
+        dy: see dx.
+        dz: see dx.
+        n_l: their cosines with the normal, >= 0.
     """
     hx, hy, hz = dx + vx, dy + vy, dz + vz
     length2 = maximum(hx * hx + hy * hy + hz * hz, splat(_SHORTEST2))
@@ -46,7 +59,15 @@ def masking_root(n_v, a2):
 
 @helper
 def distribution(sine2, n_l, n_v, n_v_root, a2):
-    """Return D V n.l, and sin^2 (n, h) + alpha^2, about, in 8 directions; n_v_root: from `masking_root`."""
+    """Return D V n.l, and sin^2 (n, h) + alpha^2, about, in 8 directions.
+
+    Args:
+        sine2: vector of sin^2 of normal and half vector.
+        n_l: vector of cosines of normal and light, >= 0.
+        n_v: cosine of normal and camera.
+        n_v_root: of n_v, from `masking_root`.
+        a2: alpha^2.
+    """
     k = sine2 * (_ONE - a2) + a2
     both = n_l * n_v_root + sqrt(n_l * n_l * (_ONE - a2) + a2) * n_v
     return n_l * (a2 * _HALF_PI) / (k * k * both), k

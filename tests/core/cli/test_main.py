@@ -74,6 +74,13 @@ def test_inspect_prints_a_summary(capsys):
         assert words in out
 
 
+@pytest.mark.parametrize(("compiled", "words"), [(3, "the kernels are compiled"), (0, "the kernels were compiled before")])
+def test_compile(capsys, monkeypatch, compiled, words):
+    monkeypatch.setattr("irgspp.core.kernel_cache.fill_kernel_cache", lambda progress: compiled)
+    assert main(["compile"]) == 0
+    assert capsys.readouterr().out.strip() == words
+
+
 def test_devices(capsys):
     assert main(["devices", "--json"]) == 0
     found = json.loads(capsys.readouterr().out)

@@ -101,7 +101,7 @@ def test_installation_from_wheels_and_removal(install, wheels, request):
     job = queue.wait(install(wheels), PATIENCE)
     assert job.state == "done", job.log_tail()
     phases = [json.loads(line)["phase"] for line in (job.notes / "events.jsonl").read_text().splitlines()]
-    assert list(dict.fromkeys(phases)) == ["environment", "libraries", "check", "done"] and job.fraction == 1.0
+    assert list(dict.fromkeys(phases)) == ["environment", "libraries", "check", "kernels", "done"] and job.fraction == 1.0
     assert engine.status().state == "ok" and "None" in engine.status().text  # without the library for CUDA
     names = sorted(p.name for p in managed.folder().parent.iterdir())
     assert names == ["engine", "engines.json", "jobs"]
