@@ -7,10 +7,7 @@ import os
 import tempfile
 from pathlib import Path
 
-import numba
-from llvmlite.binding import get_host_cpu_name
-
-from .kernels.cpu.jit import cache_folder
+from .kernels.cpu.jit import cache_folder, compiled_by
 from .machine.compilation import compilations_reported
 from .pipeline import DEMO_DATA, DEMO_OVERRIDES, reconstruct
 from .progress.protocol import Progress, Silent
@@ -69,4 +66,4 @@ def fill_kernel_cache(progress: Progress) -> int:
 
 def _mark() -> str:
     """Return the name of the mark: other sources, another compiler and another processor have other kernels."""
-    return f"filled-{cache_folder().name}-{numba.__version__}-{get_host_cpu_name()}"
+    return f"filled-{cache_folder().name}-{compiled_by()}"

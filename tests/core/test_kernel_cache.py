@@ -1,6 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Kernels are compiled beforehand once, quietly, and the mark that says so is left by a finished job alone."""
 
+import os
+import subprocess
+import sys
+
 import pytest
 from irgspp.core import kernel_cache
 from irgspp.core.errors import Cancelled
@@ -71,3 +75,11 @@ def test_cancelling_reaches_the_job_and_leaves_no_mark(jobs, tmp_path):
     progress.cancelled = True
     assert inner.cancelled
     assert not list(tmp_path.glob("filled-*"))
+
+
+def test_numba_is_imported_with_its_cache_folder_set(tmp_path):
+    """Kernels would otherwise be kept beside the sources, where no job looks for them."""
+    code = "import irgspp.core.kernel_cache, numba, os; print(numba.config.CACHE_DIR == os.environ['NUMBA_CACHE_DIR'])"
+    environment = {name: value for name, value in os.environ.items() if name != "NUMBA_CACHE_DIR"} | {"IRGSPP_CACHE": str(tmp_path)}
+    asked = subprocess.run([sys.executable, "-c", code], env=environment, capture_output=True, text=True, check=True)
+    assert asked.stdout.strip() == "True"

@@ -24,10 +24,16 @@ def cache_folder() -> Path:
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_folder()))
 
 import numba  # noqa: E402  (reads NUMBA_CACHE_DIR on import)
+from llvmlite.binding import get_host_cpu_name  # noqa: E402
 from numba.core.caching import IndexDataCacheFile  # noqa: E402
 
 # Sums may be contracted and reordered; NaN and infinity keep their meaning, so that errors stay visible.
 FASTMATH = {"contract", "reassoc", "nsz", "arcp"}
+
+
+def compiled_by() -> str:
+    """Return numba's version and the name of this processor, for either of which kernels are compiled anew."""
+    return f"{numba.__version__}-{get_host_cpu_name()}"
 
 
 class KernelFiles(IndexDataCacheFile):
