@@ -17,7 +17,8 @@ from .settings.schema import Settings
 # A job that calls all kernels and does hardly any work. A glossy object needs more of them than another.
 LITTLE_WORK = (
     *("device=cpu", "materials=glossy", "pace=0.01", "first.gaussians=2000", "first.trial_iterations=2", "first.trial_gaussians=500"),
-    *("second.points=300", "surface.voxels=48", "surface.triangles=2000", "surface.texture=128"),
+    *("second.points=300", "second.rows=6", "second.normal_iterations=3", "second.pool=5000"),
+    *("surface.voxels=48", "surface.triangles=2000", "surface.texture=128"),
 )
 ABOUT = 270  # kernels and their helpers that are compiled; a count for the progress bar
 

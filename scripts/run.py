@@ -110,7 +110,7 @@ def setup() -> None:
     install(*package, reason="pip could not install the package itself, its own lines above say why")
     STAMP.write_text(current + "\n")
     UNFINISHED.unlink()
-    say("compiling kernels for this processor (half a minute, once)")
+    say("compiling kernels for this processor (under a minute, once)")
     if call(PYTHON, "-P", "-m", "irgspp", "compile") != 0:
         say("the kernels could not be compiled, its own lines above say why; the first job compiles those that it needs")
     say("set-up done: " + str(VENV))

@@ -175,7 +175,7 @@ def _install(args, report: Report) -> None:
 
 
 def compile_kernels(python: Path, launcher: str, report: Report) -> None:
-    """Let the engine compile its kernels, which takes half a minute, so that the first job need not.
+    """Let the engine compile its kernels, which takes under a minute, so that the first job need not.
 
     Args:
         python: the engine's Python.
