@@ -54,7 +54,8 @@ def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start
     if trials.settings.first.metal_regions == "on":
         chosen, evidence = regions, f"{found}, as set"
     else:
-        gains = region_gains(trials, (start, metal), 0, regions, progress, "metal")
+        progress.phase("metal", trials.settings.first.trial_iterations)
+        gains = region_gains(trials, (start, metal), 0, regions, progress)
         chosen = [region for region, gain in zip(regions, gains, strict=True) if gain > MIN_ERROR_RATIO]
         evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
     progress.decided("metal_regions", bool(chosen), evidence)

@@ -20,7 +20,7 @@ MIN_PIXELS = 30  # of held-back views that must show a region
 
 
 def region_gains(
-    trials: StartTrials, starts: tuple[Start, Start], shape: int, regions: Sequence[np.ndarray], progress: Progress, phase: str
+    trials: StartTrials, starts: tuple[Start, Start], shape: int, regions: Sequence[np.ndarray], progress: Progress
 ) -> list[float]:
     """Return the squared error of each region from the first start over that from the second; 1 where held-back views hardly show it.
 
@@ -30,13 +30,12 @@ def region_gains(
         shape: 0 or 1, the start whose surfels, and whose fit's depth, tell which pixels show a region.
         regions: masks (N,) bool of that start's surfels, at least one.
         progress: receives steps, and may cancel.
-        phase: its name for the progress.
 
     Raises:
         Cancelled: the user stopped the work.
     """
     # Both fits go on to the end, however far one is behind elsewhere.
-    trials.compare({"first": starts[0], "second": starts[1]}, progress, phase, may_give_up=False)
+    trials.compare({"first": starts[0], "second": starts[1]}, progress, may_give_up=False)
     fits = [trials.fit_of(start) for start in starts]
     points = starts[shape].gaussians.position.T.double().cpu().numpy()
     first, second = (_region_errors(fit, fits[shape], points, regions) for fit in fits)

@@ -48,7 +48,8 @@ def select_spheres(start: Start, trials: StartTrials, progress: Progress) -> Sta
         chosen, evidence = spheres, f"{found}, as set"
     else:
         points = moved.gaussians.position.T.double().cpu().numpy()
-        gains = region_gains(trials, (start, moved), 1, [sphere.holds(points) for sphere in spheres], progress, "spheres")
+        progress.phase("spheres", trials.settings.first.trial_iterations)
+        gains = region_gains(trials, (start, moved), 1, [sphere.holds(points) for sphere in spheres], progress)
         chosen = [sphere for sphere, gain in zip(spheres, gains, strict=True) if gain > MIN_ERROR_RATIO]
         evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
     progress.decided("mirror_spheres", bool(chosen), evidence)

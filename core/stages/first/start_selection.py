@@ -49,7 +49,8 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
     starts = {one.name: _start(one, trials, plain.position.device) for one in found}
     score: dict[str, float] = {}
     if choice != "on" and (len(starts) > 1 or not dataset.has_alpha):
-        score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, "start", may_give_up=True)
+        progress.phase("start", settings.first.trial_iterations)
+        score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, may_give_up=True)
     best = max(found, key=lambda one: score.get(one.name, 0.0))
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))

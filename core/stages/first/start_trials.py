@@ -46,13 +46,12 @@ class StartTrials:
             self.fits[start] = prepare_trial(self.dataset, closed, start.gaussians, self.material_class, self.crop, start.metal)
         return self.fits[start]
 
-    def compare(self, starts: Mapping[str, Start], progress: Progress, phase: str, may_give_up: bool) -> dict[str, float]:
+    def compare(self, starts: Mapping[str, Start], progress: Progress, may_give_up: bool) -> dict[str, float]:
         """Run the trial fits of starts, as far as they have not been, and return their PSNR in dB on held-back views by name.
 
         Args:
             starts: by the name of what is tried.
             progress: receives steps, and may cancel.
-            phase: its name for the progress.
             may_give_up: a fit that has fallen behind may be abandoned, by the skip rule "trials", which is reported.
 
         Raises:
@@ -60,7 +59,6 @@ class StartTrials:
         """
         fits = {name: self.fit_of(start) for name, start in starts.items()}
         settings = self.settings if may_give_up else replace(self.settings, skip=replace(self.settings.skip, trials="off"))
-        progress.phase(phase, settings.first.trial_iterations)
         score, given_up = run_trials(fits, settings, progress)
         if may_give_up and (given_up or not self.dataset.has_alpha):  # with masks, the trial fits of the classes have been reported
             report_trials(settings, given_up, progress)

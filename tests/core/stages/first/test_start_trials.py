@@ -34,22 +34,21 @@ def test_fits_are_finer_than_those_of_the_classes_where_masks_tell_the_object(sp
 def test_a_start_that_is_compared_again_is_not_fitted_again(scene, monkeypatch):
     dataset, (one, other, third) = scene
     trials, progress = StartTrials(dataset, SETTINGS, GLOSSY), RecordedDecisions()
-    first = trials.compare({"one": one, "other": other}, progress, "start", may_give_up=False)
+    first = trials.compare({"one": one, "other": other}, progress, may_give_up=False)
     before = trials.fit_of(one).optimizer.gaussians.position.detach().clone()
-    again = trials.compare({"kept": one, "third": third}, progress, "metal", may_give_up=False)
+    again = trials.compare({"kept": one, "third": third}, progress, may_give_up=False)
     assert again["kept"] == first["one"]
     assert torch.equal(trials.fit_of(one).optimizer.gaussians.position, before)
     assert [trials.fit_of(start).done for start in (one, other, third)] == [4, 4, 4]
-    alone = StartTrials(dataset, SETTINGS, GLOSSY).compare({"third": third}, progress, "metal", may_give_up=False)
+    alone = StartTrials(dataset, SETTINGS, GLOSSY).compare({"third": third}, progress, may_give_up=False)
     assert again["third"] == alone["third"]
-    assert progress.phases == [("start", 4), ("metal", 4), ("metal", 4)]
 
 
 def test_a_fit_that_was_left_early_goes_on_where_it_is_compared_again(scene, monkeypatch):
     dataset, (one, other, _) = scene
     trials = StartTrials(dataset, SETTINGS, GLOSSY)
     trials.fit_of(one).step()
-    trials.compare({"one": one, "other": other}, RecordedDecisions(), "metal", may_give_up=False)
+    trials.compare({"one": one, "other": other}, RecordedDecisions(), may_give_up=False)
     assert trials.fit_of(one).done == 4
 
 
@@ -62,7 +61,7 @@ def test_what_was_given_up_is_reported(sphere_dataset, camera_ring, scene, monke
     run = lambda fits, settings, progress: (asked.append(settings.skip.trials), ({"one": 30.0}, given_up))[1]  # noqa: E731
     monkeypatch.setattr(start_trials, "run_trials", run)
     trials, progress = StartTrials(sphere_dataset(camera_ring(12, 32), masked=masked), SETTINGS, LOW_GLOSS), RecordedDecisions()
-    assert trials.compare({"one": scene[1][0]}, progress, "start", may_give_up) == {"one": 30.0}
+    assert trials.compare({"one": scene[1][0]}, progress, may_give_up) == {"one": 30.0}
     assert asked == ["auto" if may_give_up else "off"]
     assert ("trials" in progress.found) == reported
     if reported:
