@@ -13,7 +13,7 @@ from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_t
 
 OPEN_EDGES = 0.6  # first part of the schedule in which edges are open, where they are
 # Lengths of these trial fits and of their schedule, in lengths of a trial: they end where open edges are still open. Of ten
-# objects, those on which the fits differ by more than their noise of .1 dB, up to 1.1 dB, decide alike after .6 and after 1.
+# objects, those on which the fits differ by more than their noise of .2 dB, up to 1.1 dB, decide alike after .6 and after 1.
 TRIAL_LENGTH, SCHEDULE_LENGTH = 0.6, 2.0
 OPEN, CLOSED = "open", "closed"  # names of the trial fits
 
