@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Calibration of the materials' confidence: whether the error is large where the confidence is low."""
+"""Calibration of the confidence of materials and light: whether the error is large where the confidence is low."""
 
 from __future__ import annotations
 
@@ -12,16 +12,17 @@ from .ground_truth import Truth
 from .prediction import Prediction
 
 NAMES = ("albedo", "roughness", "metallic")  # in the order of the confidence's channels
-LEAST_SURE, SUREST = 0.1, 0.5  # fractions of the pixels that the figure compares
+LIGHT = "environment"  # as in the names of the light's metrics
+LEAST_SURE, SUREST = 0.1, 0.5  # fractions of the pixels, or of the sphere, that the figure compares
 PARTS = 10  # of the curve
 EXACT = 1e-4  # mean error that counts as none
 
 
 @dataclass
 class Calibration:
-    """Confidence and error of the object's pixels in all views, gathered view by view."""
+    """Confidence and error of the object's pixels in all views, gathered view by view, and of directions of the light."""
 
-    _pairs: dict[str, list[np.ndarray]] = field(default_factory=lambda: {name: [] for name in NAMES})
+    _pairs: dict[str, list[np.ndarray]] = field(default_factory=lambda: {name: [] for name in (*NAMES, LIGHT)})
 
     def gather(self, prediction: Prediction, truth: Truth, scale: np.ndarray | None) -> None:
         """Add the pixels of one view; nothing where the confidence or the truth is not known.
@@ -41,8 +42,21 @@ class Calibration:
             error = _error(prediction.layer(name), true, scale if name == "albedo" else None)
             self._pairs[name].append(np.stack([confidence[..., channel][inside], error[inside]]))
 
+    def gather_light(self, confidence: np.ndarray, error: np.ndarray) -> None:
+        """Add directions of the light, evenly spread over the sphere.
+
+        Args:
+            confidence: lat-long map (H, W).
+            error: lat-long map (H, W) of the mean difference of encoded values.
+        """
+        height, width = error.shape
+        counts = np.ceil(width * np.sin((np.arange(height) + 0.5) * np.pi / height)).astype(int)
+        rows = np.repeat(np.arange(height), counts)
+        columns = np.concatenate([np.arange(count) * width // count for count in counts])
+        self._pairs[LIGHT].append(np.stack([confidence[rows, columns], error[rows, columns]]))
+
     def figures(self) -> dict[str, float]:
-        """Return, for each material, the mean error of the least sure LEAST_SURE of all pixels over that of the surest SUREST."""
+        """Return, for each material and the light, the mean error of the least sure LEAST_SURE over that of the surest SUREST."""
         values = {}
         for name, (_, error) in self._sorted().items():
             least, surest = error[: max(1, int(LEAST_SURE * len(error)))], error[-max(1, int(SUREST * len(error))) :]
@@ -50,7 +64,7 @@ class Calibration:
         return values
 
     def curves(self) -> dict[str, list[dict[str, float]]]:
-        """Return, for each material, PARTS of equally many pixels from the least sure on: mean "confidence" and mean "error"."""
+        """Return, for each material and the light, PARTS of equal size from the least sure on: mean "confidence" and mean "error"."""
         curves = {}
         for name, pairs in self._sorted().items():
             parts = [part.mean(1) for part in np.array_split(pairs, PARTS, axis=1) if part.size]
@@ -58,7 +72,7 @@ class Calibration:
         return curves
 
     def _sorted(self) -> dict[str, np.ndarray]:
-        """Return confidence and error (2, P) of each known material, the least sure first."""
+        """Return confidence and error (2, P) of what is known, the least sure first."""
         joined = {name: np.concatenate(pairs, 1) for name, pairs in self._pairs.items() if pairs}
         return {name: pairs[:, np.argsort(pairs[0], kind="stable")] for name, pairs in joined.items() if pairs.size}
 

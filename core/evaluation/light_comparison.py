@@ -18,9 +18,11 @@ from ..scene.reconstruction import Reconstruction
 from ..scene.surroundings import Surroundings
 from ..settings.schema import DataSettings
 from . import metrics, visualisation
+from .light_confidence import light_confidence
 from .light_dependence import CONSTRAINED, constrained_part, light_dependence, on_texels, sphere_mean
 
-PICTURES = ("light_recovered", "light_true", "light_difference", "light_constrained", "light_dependence")  # files without their suffix
+# Files without their suffix.
+PICTURES = ("light_recovered", "light_true", "light_difference", "light_constrained", "light_dependence", "light_confidence")
 MEAN_SHOWN = 0.25  # linear value that the mean light is shown with: skies and rooms keep their detail, and lamps are white
 LIMIT = 0.5  # difference of encoded values in the lightest colours
 DEPENDENCE_LIMIT = 2.0  # dependence over its mean in the lightest colour
@@ -35,6 +37,7 @@ class LightComparison:
         true: (H, W, 3) linear; None where it is not known.
         dependence: (H, W) of the photographs on the light, over its mean, see `light_dependence`.
         part: (H, W) bool, directions that the photographs constrain.
+        confidence: (H, W) of the recovered light, 0..1, see `light_confidence`.
         figures: metrics by their names in the report.
         description: of that part, one line.
     """
@@ -43,6 +46,7 @@ class LightComparison:
     true: np.ndarray | None
     dependence: np.ndarray
     part: np.ndarray
+    confidence: np.ndarray
     figures: dict[str, float]
     description: str
 
@@ -61,7 +65,16 @@ class LightComparison:
         pictures["light_constrained"] = constrained, visualisation.striped(shown, self.part)
         dependence = visualisation.heat(self.dependence, DEPENDENCE_LIMIT)
         pictures["light_dependence"] = f"how much the photographs depend on it, to {DEPENDENCE_LIMIT:g} x the mean", dependence
+        pictures["light_confidence"] = "confidence: white where the light is sure", visualisation.grey(self.confidence, opaque)
         return pictures
+
+    @property
+    def error(self) -> np.ndarray | None:
+        """(H, W) mean difference of the channels, encoded and clipped as in the metrics; None where the true light is not known."""
+        if self.true is None:
+            return None
+        recovered, true = (encode_srgb(np.clip(light, 0, 1)) for light in (self.recovered, self.true))
+        return np.abs(recovered - true).mean(-1)
 
 
 def compare_lights(
@@ -94,7 +107,8 @@ def compare_lights(
         "Constrained part of the light: directions on which the pixels of the photographs depend at least "
         f"{CONSTRAINED:g} times as much as on the mean direction, by the run's surface and materials, without what {hidden}."
     )
-    return LightComparison(recovered, true, on_texels(coarse, height, width), part, figures, description)
+    dependence, confidence = on_texels(coarse, height, width), light_confidence(recovered, part)
+    return LightComparison(recovered, true, dependence, part, confidence, figures, description)
 
 
 def _surroundings(run: Path, reconstruction: Reconstruction) -> Surroundings | None:

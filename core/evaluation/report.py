@@ -83,7 +83,7 @@ def evaluate(
 
     Returns:
         Content of the JSON: "figures" (means over the views), "views" (the same per view), "albedo_scale" (3 numbers or None), "split",
-        "calibration" (confidence and error of the materials, see `Calibration.curves`), "novel" (number of views under other lights),
+        "calibration" (confidence and error of materials and light, see `Calibration.curves`), "novel" (number of views under other lights),
         "cycles" (metrics of each comparison), "run", "dataset", "protocol" (a line of text for each choice), "choices" (the same for
         programs).
 
@@ -103,9 +103,11 @@ def evaluate(
     relighter = open_relighter(run, reconstruction, backend, relight)
     evaluation = Evaluation(cases, relighter, choices, distances, progress)
     evaluation.compare()
-    report = evaluation.summary()
     true_light = cases.scene.lights.get(cases.scene.train_light or "", evaluation.own_light)
     light = compare_lights(run, reconstruction, true_light, choices.light_grid)
+    if light.error is not None:
+        evaluation.calibration.gather_light(light.confidence, light.error)
+    report = evaluation.summary()
     report["figures"] |= light.figures | shape_metrics(run, cases.scene, choices, cases.unit)
     lights = cases.scene.lights or {"recovered": reconstruction.environment_map()}
     cameras = {cases.names[i]: cases.cameras[i] for i in spread(cases.own, cycles)}

@@ -62,3 +62,13 @@ def test_nothing_is_said_without_confidence_or_truth(erring, demo):
     calibration.gather(replace(prediction, buffers=replace(prediction.buffers, confidence=None)), truth, np.ones(3))
     calibration.gather(prediction, Truth(truth.image, truth.alpha), np.ones(3))
     assert calibration.figures() == calibration.curves() == {}
+
+
+def test_directions_of_the_light_count_by_their_solid_angle():
+    calibration = Calibration()
+    polar = np.arange(32) < 4  # the upper 22.5 degrees: 3.8 % of the sphere, but an eighth of the texels
+    error = np.repeat(np.where(polar, 0.5, 0.1)[:, None], 64, 1)
+    calibration.gather_light(1 - error, error)
+    curve = calibration.curves()["environment"]
+    assert curve[0]["error"] == pytest.approx(0.1 + 0.4 * 0.38, abs=0.02) and curve[1]["error"] == pytest.approx(0.1)
+    assert calibration.figures()["environment_confidence_ratio"] == pytest.approx(curve[0]["error"] / 0.1, rel=0.02)

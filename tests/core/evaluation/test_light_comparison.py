@@ -61,12 +61,14 @@ def test_pictures_show_the_maps_alike_and_where_they_differ(run):
     assert same["light_difference"][1][..., :3].max() < 0.03
     rows = (pictures["light_constrained"] == pictures["light_recovered"]).all(-1).mean(1)
     assert (rows[:14] == 1).all() and (rows[18:] < 0.2).all()
+    assert np.allclose(pictures["light_confidence"][..., :3], found.confidence[..., None])
+    assert found.error[2, 50] == found.error.max() > found.error[2, 5] > 4 * found.error[20, 5]
     assert pictures["light_dependence"][3].mean() > 0.8 > 0.3 > pictures["light_dependence"][28, :, :3].mean()
 
 
 def test_without_a_true_light_the_recovered_one_is_shown(run):
     found = compare_lights(run, Lit(sky_light(32, 64)), None)
-    assert set(found.figures) == {"environment_constrained"} and found.true is None
+    assert set(found.figures) == {"environment_constrained"} and found.true is None and found.error is None
     assert tuple(found.pictures()) == tuple(name for name in PICTURES if name not in ("light_true", "light_difference"))
 
 
