@@ -13,7 +13,7 @@ UP_AXES = [
     ("Z_UP", "+Z Up", "Keep the dataset's own axes", 6),
 ]
 PRESETS = [
-    ("draft", "Draft", "For a first impression: photographs reduced to 320 pixels, few steps; a minute or two", 0),
+    ("draft", "Draft", "For a first impression: photographs reduced to 320 pixels, few steps; about a minute", 0),
     ("balanced", "Balanced", "For most objects: photographs reduced to 640 pixels; several minutes on a CPU", 1),
     ("high", "High", "For large photographs of fine detail: up to 1600 pixels, textures of 4096 or 8192; hours on a CPU", 3),
     ("paper", "Paper", "The published schedule: 50,000 steps, photographs of 800 pixels; hours, for a GPU", 2),

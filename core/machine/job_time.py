@@ -26,7 +26,7 @@ PHOTOGRAPH_PIXEL = 2.8e-6  # of stereo, fusion and bake
 USUAL_TEXTURE = 1024  # texels along a side of a bake that these include
 TEXEL = 2e-6  # of a larger bake with 19 views, and of its detail beside the photographs: 26 + 10 s of one core at 4096, 3 s at 1024
 DETAIL_PIXEL = 1.4e-7  # of a full-size photograph, in each of the two passes of the albedo detail
-SOLVER = 14.0  # at the balanced preset; texels of the light solved for enter by their cube
+SOLVER = 8.0  # at the balanced preset; by the number of points, views, and texels of the light
 NORMALS_TRIANGLE = 1.6e-4  # of the shading normals, for each triangle of the mesh
 PAINT = 4.0  # materials of the Gaussians
 REFINEMENT_SAMPLE = 1.4e-6  # of a light sample in the refinement, confidence included
@@ -69,11 +69,11 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
     """
     first = settings.first
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
-    step = step_seconds(settings, data)
-    trials += 2 * first.trial_iterations * min(step, START_STEP) if first.stereo == "auto" else 0.0
+    step, tries_starts = step_seconds(settings, data), first.start_trials or not data.has_alpha
+    trials += 2 * first.trial_iterations * min(step, START_STEP) if first.stereo == "auto" and tries_starts else 0.0
     # Regions of metal are compared with the start, whose fit is made, and edges are open and closed in shorter fits.
     masked_trials = 1.2 * (first.open_edges is None) + (first.metal_regions == "auto" and settings.materials != "low-gloss")
-    trials += first.trial_iterations * min(step, START_STEP) * masked_trials if data.has_alpha else 0.0
+    trials += first.trial_iterations * min(step, START_STEP) * masked_trials if data.has_alpha and first.start_trials else 0.0
     fit = first.iterations * step
     return START + trials + fit + fixed_seconds(settings, data) + schedule_seconds(settings, data)
 
@@ -94,7 +94,7 @@ def fixed_seconds(settings: Settings, data: Dataset) -> float:
     surface += larger_texture_seconds(settings) + detail_seconds(settings, data)
     if second.solver == "joint":
         return surface + END
-    solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 16) ** 3
+    solver = SOLVER * (second.points / 2500) * (second.views / 8) * (second.rows / 12) ** 2
     normals = triangles_of_mesh(settings.surface, pixels) * NORMALS_TRIANGLE
     return surface + solver + normals + PAINT + second.normal_iterations * step_seconds(settings, data) + END
 

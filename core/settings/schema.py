@@ -64,6 +64,7 @@ class FirstStageSettings:
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
+    start_trials: bool = True  # with masks: trial fits decide between starts, and on metal and edges; off: start on all of stereo's points
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     distortion_weight: Annotated[float, Range(0)] = 0.0  # loss weight: depth distortion (2DGS), per squared scene radius
@@ -99,7 +100,7 @@ class SecondStageSettings:
     brdf: Brdf = "principled"
     points: Annotated[int, Range(100, 1_000_000)] = 2500  # surface points from which light and materials are solved
     views: Annotated[int, Range(3, 1000)] = 8  # images sampled per point, at most
-    rows: Annotated[int, Range(4, 32, 2)] = 16  # rows of the environment map in that solve
+    rows: Annotated[int, Range(4, 32, 2)] = 12  # rows of the environment map in that solve, before texels are split
     light_height: Annotated[int, Range(4, 512)] = 64  # rows of the resulting environment map
     indirect: bool = True  # trace interreflections of the object
     shadows: bool = True  # trace the object's shadows; off, and indirect off: no 2DGRT in training, for comparison
@@ -189,9 +190,13 @@ PRESETS: dict[str, Settings] = {
     "draft": Settings(  # a quick look
         preset="draft",
         data=replace(DataSettings(), resolution=320),
-        # The short trials can't tell the parts of metal that lose by open edges.
-        first=replace(FirstStageSettings(), iterations=400, gaussians=30_000, open_edges=0.0, trial_iterations=120, trial_gaussians=5_000),
-        second=replace(SecondStageSettings(), points=1500, iterations=100, radiance_iterations=50, normal_iterations=60),
+        # Trial fits as short as these tell material classes apart, but neither starts nor small parts of metal.
+        first=replace(
+            FirstStageSettings(), iterations=400, gaussians=20_000, start_trials=False, trial_iterations=120, trial_gaussians=5_000
+        ),
+        second=replace(
+            SecondStageSettings(), points=1000, rows=8, iterations=25, pool=20_000, radiance_iterations=30, normal_iterations=30
+        ),
         surface=replace(SurfaceSettings(), voxels=128, triangles=20_000, texture_least=512, texture_most=1024),
     ),
     "balanced": Settings(),
@@ -199,7 +204,9 @@ PRESETS: dict[str, Settings] = {
         preset="high",
         data=replace(DataSettings(), resolution=1600),
         first=replace(FirstStageSettings(), iterations=3000, gaussians=200_000, unmasked_gaussians=200_000),
-        second=replace(SecondStageSettings(), points=5000, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300),
+        second=replace(
+            SecondStageSettings(), points=5000, rows=16, iterations=600, pool=200_000, radiance_iterations=300, normal_iterations=300
+        ),
         surface=replace(SurfaceSettings(), triangles=150_000, unmasked_triangles=150_000, texture_least=4096, texture_most=8192),
     ),
     "paper": Settings(  # the published schedule, for a GPU

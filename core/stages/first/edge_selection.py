@@ -9,7 +9,7 @@ from ...progress.protocol import Progress
 from .material_class import METAL
 from .start import Start
 from .start_trials import StartTrials
-from .trial_fits import MIN_HOLD_BACK_VIEWS, prepare_trial, report_trials, run_trials, with_finer_trials
+from .trial_fits import MIN_HOLD_BACK_VIEWS, NO_TRIALS, prepare_trial, report_trials, run_trials, with_finer_trials
 
 OPEN_EDGES = 0.6  # first part of the schedule in which edges are open, where they are
 # Lengths of these trial fits and of their schedule, in lengths of a trial: they end where open edges are still open. Of ten
@@ -64,6 +64,8 @@ def _reason_against(trials: StartTrials) -> str:
         return "closed: not tried without masks"
     if trials.material_class == METAL:
         return "closed: open edges roughen a metal's reflections"
+    if not trials.settings.first.start_trials:
+        return f"closed: {NO_TRIALS}"
     if len(views) < MIN_HOLD_BACK_VIEWS:
         return f"closed: {len(views)} photographs, too few to hold any back"
     return ""

@@ -15,7 +15,7 @@ from .material_class import METAL
 from .region_trial import region_gains
 from .start import Start
 from .start_trials import StartTrials
-from .trial_fits import MIN_HOLD_BACK_VIEWS
+from .trial_fits import MIN_HOLD_BACK_VIEWS, NO_TRIALS
 
 # A region's squared error without metal over that with it, on held-back views, from which it begins as metal: 1 dB. On ten
 # objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a belt and a ball that stereo sees too deep (see
@@ -80,6 +80,8 @@ def reason_against_metal(trials: StartTrials) -> str:
         return "as set"
     if not trials.dataset.has_alpha:
         return "not tried without masks"
+    if trials.settings.first.metal_regions == "auto" and not trials.settings.first.start_trials:
+        return NO_TRIALS
     if not trials.material_class.split_sum:
         return "a low-gloss object has no reflections"
     if trials.material_class == METAL:

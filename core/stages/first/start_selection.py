@@ -22,8 +22,9 @@ NOT_BETTER = "in no region does stereo fit the photographs better than the visua
 def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> Start:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
-    Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them; without
-    masks, the sparse points with stereo's, which must be better by `first.stereo_margin` dB. A metal keeps the plain start, since stereo
+    Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them, which are
+    taken without trials where `first.start_trials` is off; without masks, the sparse points with stereo's, which must be better by
+    `first.stereo_margin` dB. A metal keeps the plain start, since stereo
     sees the depth of its reflections.
 
     Args:
@@ -48,10 +49,10 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
         return hull
     starts = {one.name: _start(one, trials, plain.position.device) for one in found}
     score: dict[str, float] = {}
-    if choice != "on" and (len(starts) > 1 or not dataset.has_alpha):
+    if choice != "on" and ((len(starts) > 1 and settings.first.start_trials) or not dataset.has_alpha):
         progress.phase("start", settings.first.trial_iterations)
         score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, may_give_up=True)
-    best = max(found, key=lambda one: score.get(one.name, 0.0))
+    best = max(found, key=lambda one: score[one.name]) if score else found[-1]
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))
     return starts[best.name] if on else hull

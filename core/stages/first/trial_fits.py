@@ -21,6 +21,7 @@ from .material_class import GLOSSY, MaterialClass, with_geometry_rates
 from .trainer import Trainer
 
 MIN_HOLD_BACK_VIEWS = 8  # views; with fewer, all are needed for training
+NO_TRIALS = "no trial fits of the start, as set"
 TRIAL_HOLD_BACK = 6  # every 6th view is held back from a trial fit
 # Starts and edges differ in less than material classes do, so that their trial fits are finer. On suzanne_mixed a start on all of stereo's
 # points is worse in the end, by .7 dB on new views. Held-back views of finer fits say so by .1 dB; with 8,000 surfels on 100 pixels, or

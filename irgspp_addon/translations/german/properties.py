@@ -62,8 +62,8 @@ TEXTS: dict[str, str] = {
     "Preset": "Voreinstellung",
     "Quality and duration of the reconstruction": "Güte und Dauer der Rekonstruktion",
     "Draft": "Entwurf",
-    "For a first impression: photographs reduced to 320 pixels, few steps; a minute or two": (
-        "Für einen ersten Eindruck: Fotos auf 320 Pixel verkleinert, wenige Schritte; ein bis zwei Minuten"
+    "For a first impression: photographs reduced to 320 pixels, few steps; about a minute": (
+        "Für einen ersten Eindruck: Fotos auf 320 Pixel verkleinert, wenige Schritte; etwa eine Minute"
     ),
     "Balanced": "Mittel",
     "For most objects: photographs reduced to 640 pixels; several minutes on a CPU": (

@@ -72,6 +72,7 @@ ADDED = {
     "first.open_edges",
     "first.metal_regions",
     "first.single_rays",
+    "first.start_trials",
     "first.stereo",
     "first.stereo_margin",
     "skip.subpixels",
@@ -94,6 +95,7 @@ ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.al
 }
 CHANGED = ["seed=3", "device=cpu", "data.centre=0,0,1", "first.iterations=700", "first.gaussians=40000"]
 CHANGED += [
+    "second.rows=16",
     "second.indirect=off",
     "second.albedo_smoothness=0.02",
     "surface.voxels=192",

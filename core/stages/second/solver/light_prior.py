@@ -19,7 +19,7 @@ SMOOTHNESS = 1e-7  # weight of the log light's differences, per pair of neighbou
 MAX_LIKELY_TINT = 0.2  # log tint of the mean light above which it is unlikely; 0.02 to 0.16 in seven of eight lights of test scenes
 NEWTON_STEPS = 60  # each takes at most a third off a tint that is much too large
 INDEPENDENT_ERRORS = 50  # number of independent errors of the photographs, whose neighbours and views err alike
-# Change of the log light per radian at which the weight of a pair is halved; 0.5 between texels of a map of 16 rows.
+# Change of the log light per radian at which the weight of a pair is halved; 0.67 between texels of a map of 12 rows.
 HALF_WEIGHT_SLOPE = 2.55
 
 

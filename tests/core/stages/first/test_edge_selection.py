@@ -15,7 +15,7 @@ from irgspp.core.stages.first.start import Start
 from irgspp.core.stages.first.start_trials import StartTrials
 from recorded_decisions import RecordedDecisions
 
-SETTINGS = replace(preset("draft"), first=replace(preset("draft").first, open_edges=None))
+SETTINGS = replace(preset("draft"), first=replace(preset("draft").first, open_edges=None, start_trials=True))
 
 
 @pytest.fixture
@@ -52,11 +52,15 @@ def test_a_number_decides_without_a_trial(scene, no_trials, part):
     assert progress.found == {"open_edges": (part > 0, "as set")}
 
 
-@pytest.mark.parametrize(("views", "masked", "material_class"), [(12, True, METAL), (12, False, GLOSSY), (7, True, GLOSSY)])
-def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, no_trials, views, masked, material_class):
+@pytest.mark.parametrize(
+    ("views", "masked", "material_class", "tried"),
+    [(12, True, METAL, True), (12, False, GLOSSY, True), (7, True, GLOSSY, True), (12, True, GLOSSY, False)],
+)
+def test_edges_stay_closed_where_no_trial_can_tell(sphere_dataset, camera_ring, no_trials, views, masked, material_class, tried):
     dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
-    assert select_open_edges(start, StartTrials(dataset, SETTINGS, material_class), progress) == 0
+    settings = replace(SETTINGS, first=replace(SETTINGS.first, start_trials=tried))
+    assert select_open_edges(start, StartTrials(dataset, settings, material_class), progress) == 0
     on, evidence = progress.found["open_edges"]
     assert not on
     assert evidence.startswith("closed: ")

@@ -20,7 +20,9 @@ from irgspp.core.stages.first.trial_fits import prepare_trial
 from mirror_sphere import mirror_photographs
 from recorded_decisions import RecordedDecisions
 
-SETTINGS = with_overrides(preset("draft"), ["first.trial_iterations=4", "first.trial_gaussians=60", "first.trial_resolution=16"])
+SETTINGS = with_overrides(
+    preset("draft"), ["first.start_trials=true", "first.trial_iterations=4", "first.trial_gaussians=60", "first.trial_resolution=16"]
+)
 
 
 @pytest.fixture
@@ -67,17 +69,18 @@ def test_all_regions_are_metal_as_set_without_a_trial(scene, halves, no_trials):
 @pytest.mark.parametrize(
     ("views", "masked", "material_class", "choice"),
     [
-        (12, True, METAL, "auto"),
-        (12, True, LOW_GLOSS, "on"),
-        (12, False, GLOSSY, "auto"),
-        (7, True, GLOSSY, "auto"),
-        (12, True, GLOSSY, "off"),
+        (12, True, METAL, "metal_regions=auto"),
+        (12, True, LOW_GLOSS, "metal_regions=on"),
+        (12, False, GLOSSY, "metal_regions=auto"),
+        (7, True, GLOSSY, "metal_regions=auto"),
+        (12, True, GLOSSY, "metal_regions=off"),
+        (12, True, GLOSSY, "start_trials=false"),
     ],
 )
 def test_nothing_is_metal_where_no_trial_can_tell(sphere_dataset, camera_ring, halves, no_trials, views, masked, material_class, choice):
     dataset, progress = sphere_dataset(camera_ring(views, 32), masked=masked), RecordedDecisions()
     start = Start(initial_gaussians(dataset, 100, np.random.default_rng(0)))
-    settings = with_overrides(SETTINGS, [f"first.metal_regions={choice}"])
+    settings = with_overrides(SETTINGS, [f"first.{choice}"])
     assert select_metal(start, StartTrials(dataset, settings, material_class), progress) is start
     on, evidence = progress.found["metal_regions"]
     assert evidence

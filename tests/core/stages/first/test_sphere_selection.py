@@ -18,7 +18,9 @@ from irgspp.core.stages.first.start_trials import StartTrials
 from mirror_sphere import mirror_photographs
 from recorded_decisions import RecordedDecisions
 
-SETTINGS = with_overrides(preset("draft"), ["first.trial_iterations=4", "first.trial_gaussians=60", "first.trial_resolution=16"])
+SETTINGS = with_overrides(
+    preset("draft"), ["first.start_trials=true", "first.trial_iterations=4", "first.trial_gaussians=60", "first.trial_resolution=16"]
+)
 BALL, SPECK = MirrorSphere(np.zeros(3), 1.0), MirrorSphere(np.full(3, 9.0), 0.1)
 
 

@@ -13,7 +13,7 @@ from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.stereo_initialization import StereoStart
 from recorded_decisions import RecordedDecisions
 
-SETTINGS = with_overrides(preset("draft"), ["first.anchor_weight=0"])  # the starts have no depth maps
+SETTINGS = with_overrides(preset("draft"), ["first.anchor_weight=0", "first.start_trials=true"])  # the starts have no depth maps
 
 
 @pytest.fixture
@@ -49,3 +49,23 @@ def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
     settings = with_overrides(SETTINGS, ["first.stereo=on"])
     assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == 2
     assert progress.found["stereo"] == (True, "as set")
+
+
+@pytest.mark.parametrize(("starts", "size"), [(1, 1), (2, 2)])
+def test_without_trials_the_start_with_most_points_is_taken(scene, psnr, monkeypatch, starts, size):
+    psnr |= {name: 30.0 for name in ("one", "other")[:starts]}  # the number of starts
+    monkeypatch.setattr(StartTrials, "compare", lambda *_, **__: pytest.fail("a trial was run"))
+    progress, settings = RecordedDecisions(), with_overrides(SETTINGS, ["first.start_trials=false"])
+    assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == size
+    on, evidence = progress.found["stereo"]
+    assert on
+    assert evidence.endswith("lie on its points")
+
+
+def test_without_masks_a_trial_is_always_made(sphere_dataset, camera_ring, psnr):
+    dataset = sphere_dataset(camera_ring(12, 32), masked=False)
+    plain = initial_gaussians(dataset, 100, np.random.default_rng(0))
+    psnr |= {"sparse points": 30.0, "one": 31.0, "other": 29.0}
+    progress, settings = RecordedDecisions(), with_overrides(SETTINGS, ["first.start_trials=false"])
+    assert start_selection.select_start(plain, StartTrials(dataset, settings, LOW_GLOSS), progress).gaussians.count == 1
+    assert "sparse points 30.00 dB" in progress.found["stereo"][1]
