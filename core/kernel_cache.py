@@ -18,9 +18,9 @@ from .settings.schema import Settings
 LITTLE_WORK = (
     *("device=cpu", "materials=glossy", "pace=0.01", "first.gaussians=2000", "first.trial_iterations=2", "first.trial_gaussians=500"),
     *("second.points=300", "second.rows=6", "second.normal_iterations=3", "second.pool=5000"),
-    *("surface.voxels=48", "surface.triangles=2000", "surface.texture=128"),
+    *("surface.voxels=48", "surface.triangles=2000", "surface.texture=128", "surface.albedo_detail=on"),
 )
-ABOUT = 270  # kernels and their helpers that are compiled; a count for the progress bar
+ABOUT = 300  # kernels and their helpers that are compiled; a count for the progress bar
 
 
 class _Quiet(Silent):

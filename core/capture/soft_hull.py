@@ -206,7 +206,8 @@ def _splat(centres, reach, matrix, value, image):
 def projected_voxels(camera: Camera, centres: np.ndarray, step: float) -> np.ndarray:
     """Return (H, W) float32, 1 where a camera sees one of the cubes with centres (N, 3) and a side in world units, else 0."""
     image = np.zeros((camera.height, camera.width), np.float32)
-    _splat(centres, np.float32(0.5 * step * camera.fx), camera.projection, np.ones(len(centres), np.float32), image)
+    centres, reach = np.ascontiguousarray(centres), np.float32(0.5 * step * camera.fx)
+    _splat(centres, reach, camera.projection, np.ones(len(centres), np.float32), image)
     return image
 
 

@@ -187,11 +187,13 @@ def _codes(colour: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 def _pyramid(codes: np.ndarray, linear: np.ndarray) -> tuple[np.ndarray, ...]:
     """Return the photograph and its reductions by area averaging in linear light, encoded with the same codes."""
-    images = [codes]
+    images = [codes.view()]
     for _ in range(PYRAMID_LEVELS - 1):
         height, width = images[-1].shape[:2]
         size = max(1, width // 2), max(1, height // 2)
         images.append(_halved(images[-1], size, linear))
+    for image in images:  # some decoders return read-only arrays, for which kernels would be compiled once more
+        image.flags.writeable = False
     return tuple(images)
 
 

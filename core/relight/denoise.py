@@ -147,7 +147,7 @@ class Guides:
         if self._index is not None:
             return corrected_reference(light, split, albedo, chance, self, bilateral)
         points, plane = even_ranges(len(light), thread_count()), self._grid.plane
-        at, arguments = (albedo.numpy(), self._places, plane), self._arguments(bilateral)
+        at, arguments = (albedo.contiguous().numpy(), self._places, plane), self._arguments(bilateral)
         planes, smooth = np.zeros(4 * plane, np.float32), np.empty(4 * plane, np.float32)
         out, change, result = np.empty(3 * plane, np.float32), np.zeros(plane, np.float32), np.empty((len(light), 3), np.float32)
         run_ranges(demodulate_range, points, light.contiguous().numpy(), split.contiguous().numpy(), *at, planes)
