@@ -44,9 +44,9 @@ STEPS = 44  # Gauss-Newton steps of the light; all else is scheduled by the numb
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # roughness and metallic are searched when so many steps are done
 METAL_TEST_STEP = 28  # one of these, at which the candidates for metal are tested instead; points join them before it
 METAL_BORDERS_STEP = 38  # one of these, at which the borders of metal are drawn anew: the light has adapted to the metal by then
-TEST_STEPS = 4  # steps in which the light adapts to each hypothesis of the test
-# A Hessian costs most of a step. It counts for so many, while materials stay and the last step changed the log light by less than
-# MAX_HESSIAN_STEP (root mean square): with older ones, the solver found none of the metal on rocker_corner.
+TEST_STEPS = 8  # steps in which the light adapts to each hypothesis of the test: after 4, some have hardly begun to
+# A Hessian costs most of a step. It counts for so many, while materials stay, the error falls, and the last step changed the log light by
+# less than MAX_HESSIAN_STEP (root mean square): with older ones, the solver found none of the metal on rocker_corner.
 MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 # Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
 SPLIT_CAUCHY_FACTOR = 4.0
@@ -200,7 +200,7 @@ class LightMaterialSolver:
 
     def error(self) -> float:
         """Return the median difference between model and images, approximately in encoded values 0..1."""
-        return float(((self._radiance() - self.samples.colour) * self.derivative).abs().median())
+        return float(((self._radiance(*self._model.terms(self.light)) - self.samples.colour) * self.derivative).abs().median())
 
     def total_error(self) -> float:
         """Return the robust error of all samples."""
@@ -208,7 +208,7 @@ class LightMaterialSolver:
 
     def _robust_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
-        return robust_error(self.samples, self._radiance(), self.derivative)
+        return robust_error(self.samples, self._radiance(*self._model.terms(self.light)), self.derivative)
 
     def _follow(self, steps: int, prior_weight: float | None = None) -> None:
         """Let the light follow changed normals or materials; from now on, points of metal that fit badly count less for it."""
@@ -217,22 +217,23 @@ class LightMaterialSolver:
         for _ in range(steps):
             self._step(STEPS, prior_weight)
 
-    def _radiance(self) -> torch.Tensor:
-        """Return the radiance (K, 3) that the samples should have."""
-        factor, rest = self._model.terms(self.light)
+    def _radiance(self, factor: torch.Tensor, rest: torch.Tensor) -> torch.Tensor:
+        """Return the radiance (K, 3) that the samples should have, by the terms of the model."""
         return self.albedo[self.samples.point] * factor + rest
 
     def _update_model(self) -> None:
         """Compute the radiance's dependence on the light for the current materials, normals and texels."""
         self._model = SampleRadiance(self.samples, self.transfer, self._diffuse, self.roughness, self.metallic)
         self._hessian: list[torch.Tensor] | None = None
-        self._age = 0  # steps for which the Hessian has counted
+        self._age, self._last_error = 0, math.inf  # steps for which the Hessian has counted, and the error before the last of them
 
     def _step(self, done: int, prior_weight: float | None = None) -> None:
         """Solve the albedo, then do a Gauss-Newton step of the light with the albedo eliminated; see `albedo_prior` for the weight."""
         samples, y = self.samples, self.samples.colour
         factor, rest = self._model.terms(self.light)
-        error = (self.albedo[samples.point] * factor + rest - y) * self.derivative
+        radiance = self._radiance(factor, rest)
+        error, unexplained = (radiance - y) * self.derivative, float(robust_error(samples, radiance, self.derivative).sum())
+        rises, self._last_error = unexplained > self._last_error, unexplained
         robust = 1 / (1 + (error / (self._loosened * CAUCHY_SCALE)) ** 2) if done >= CONSTANT_STEPS else torch.ones_like(error)
         self._loosened = max(1.0, self._loosened / 2)
         self.robust_weight = torch.where(samples.saturated & (error > 0), 0.0, robust)  # a clipped highlight is a lower bound
@@ -241,12 +242,10 @@ class LightMaterialSolver:
         total = samples.sums(weight * factor * factor) + pull
         self.albedo = ((samples.sums(weight * factor * (y - rest)) + pull * anchor) / total).clamp(*ALBEDO_RANGE)
         weight = weight * self._trust[samples.point, None]
-        if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP:
-            total = samples.sums(weight * factor * factor) + pull
-            self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, total), 0
+        if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP or rises:
+            self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, samples.sums(weight * factor * factor) + pull), 0
         self._age += 1
-        residual = self.albedo[samples.point] * factor + rest - y
-        self._step_light(self._hessian, self._model.gradient(self.albedo, weight * residual))
+        self._step_light(self._hessian, self._model.gradient(self.albedo, weight * (self._radiance(factor, rest) - y)))
 
     def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor) -> None:
         """Do a damped Gauss-Newton step of the light, by the Hessian (T, T) of each channel and the gradient (T, 3)."""

@@ -36,15 +36,14 @@ MIN_POSSIBLE_GAIN = -0.3  # gain from which a point is a candidate where its nei
 MIN_NEIGHBOUR_SHARE = 0.1  # share of the neighbours, by similarity of colour, that must be metal
 MIN_LINK_SIMILARITY = 0.02  # similarity from which a neighbour belongs to the same region
 MIN_REGION_POINTS, MAX_REGIONS = 4, 6  # points of a region, and regions that are tested
-# Least gain of a region as a share of the robust error of all samples. Regions of metal gained 0.014 and more on rocker_corner, whose
-# normals are wrong there, on capture_ogre and on suzanne_mixed; others up to 0.005 there and on spot_rough.
-MIN_REGION_GAIN = 0.009
-# A small region needs no more than its share of the points, but at least this. An arm ring of capture_ogre, .5 per cent of the points,
-# gained .85 per cent; false regions of so few points at most .3, and larger ones .7, on nine scenes.
+# Least gain of a region as a share of the robust error of all samples. Regions of metal gained .0097 and more on capture_ogre (four seeds
+# of the solver), .028 and more on rocker_corner and suzanne_mixed; others up to .0064 on these, on a padlock and on five other objects.
+MIN_REGION_GAIN = 0.008
+# A small region needs no more than its share of the points, but at least this. False regions of so few points gained at most .003.
 MIN_SMALL_REGION_GAIN = 0.006
 # A large region needs a larger gain: MIN_GAIN_PER_SHARE times its share of the points. Leaves of a captured plant, which are no metal,
-# gained 0.23 and 0.27 times their share; regions of metal that gained MIN_REGION_GAIN, on five scenes, 0.49 times and more.
-MIN_GAIN_PER_SHARE = 0.35
+# gained 0.23 and 0.27 times their share in fewer steps; regions of metal on four scenes, 0.32 times and more.
+MIN_GAIN_PER_SHARE = 0.3
 # Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
 # better. Such regions had .79 and more on four scenes, regions of metal .35 to .69 on seven. Two false ones were sharper (.69, and below .6
 # on a black object), and did not gain MIN_REGION_GAIN.

@@ -141,6 +141,7 @@ def test_steps_are_reported_and_can_end_the_run(scene):
 def test_the_hessian_is_kept_while_the_light_hardly_moves(scene, monkeypatch, moved, computed):
     """For MAX_HESSIAN_AGE steps then; it is computed anew in each step while the light moves, and where materials change."""
     transfer, seen, _ = scene
+    monkeypatch.setattr(module, "robust_error", lambda *_: torch.zeros(1))  # it never rises
     solver, calls, original = start(seen, transfer), [], SampleRadiance.hessian
     monkeypatch.setattr(SampleRadiance, "hessian", lambda self, *args: calls.append(self) or original(self, *args))
     monkeypatch.setattr(LightMaterialSolver, "_moved", property(lambda self: moved, lambda self, value: None), raising=False)
@@ -149,6 +150,18 @@ def test_the_hessian_is_kept_while_the_light_hardly_moves(scene, monkeypatch, mo
     assert len(calls) == computed and module.MATERIAL_STEPS[0] >= 2 * module.MAX_HESSIAN_AGE
     solver.advance(module.MATERIAL_STEPS[0])
     assert len(calls) == computed + 1 and calls[-1] is not calls[-2]
+
+
+def test_the_hessian_is_computed_anew_where_the_error_rises(scene, monkeypatch):
+    transfer, seen, _ = scene
+    solver, steps, original = start(seen, transfer), [], SampleRadiance.hessian
+    errors = iter((5.0, 4.0, 6.0, 5.0))
+    monkeypatch.setattr(module, "robust_error", lambda *_: torch.full((1,), next(errors)))
+    monkeypatch.setattr(SampleRadiance, "hessian", lambda self, *args: steps.append(done) or original(self, *args))
+    monkeypatch.setattr(LightMaterialSolver, "_moved", property(lambda self: 0.0, lambda self, value: None), raising=False)
+    for done in range(4):
+        solver.advance(done)
+    assert steps == [0, 2]
 
 
 @pytest.mark.parametrize("error, kept", [(1e-4, True), (1e3, False)])
