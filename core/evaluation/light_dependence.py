@@ -27,7 +27,7 @@ from ..shading.sampling import draw
 from ..shading.specular_albedo import diffuse_fraction
 from .cases import spread
 
-ROWS = 16  # of the map, whose texels of 11 degrees are hardly smaller than those of the second stage's light before it splits them
+ROWS = 16  # of the map: texels of 11 degrees, somewhat finer than those of the second stage's light before it splits them
 VIEWS, POINTS = 16, 256  # photographs, evenly spread, and points of each: others move the part by under .3 % of the sphere
 SIDE = 160  # pixels of a photograph's longest side at most, from which the points are chosen
 SAMPLES = (64, 64, 0)  # directions at each point: by the cosine, by GGX visible normals, by the light

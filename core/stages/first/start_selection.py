@@ -22,10 +22,9 @@ NOT_BETTER = "in no region does stereo fit the photographs better than the visua
 def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> Start:
     """Select the Gaussians that the first stage starts with: on the hull or the sparse points, or on the points of dense stereo.
 
-    Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them, which are
-    taken without trials where `first.start_trials` is off; without masks, the sparse points with stereo's, which must be better by
-    `first.stereo_margin` dB. A metal keeps the plain start, since stereo
-    sees the depth of its reflections.
+    Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them; without
+    masks, the sparse points with stereo's, which must be better by `first.stereo_margin` dB. With masks and `first.start_trials` off, all
+    of stereo's points are taken. A metal keeps the plain start, since stereo sees the depth of its reflections.
 
     Args:
         plain: Gaussians on the hull, or on the sparse points and at random.
