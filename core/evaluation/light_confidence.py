@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Confidence of the recovered light in each direction: low where it varies strongly, or where the photographs do not constrain it.
 
-The photographs show the light blurred, so that the place and height of an edge or of a lamp are known worse than an even sky.
+The photographs show the light blurred, so that the place of an edge and the brightness of a lamp are known worse than an even sky.
 """
 
 from __future__ import annotations
@@ -13,11 +13,10 @@ from scipy.ndimage import gaussian_filter1d
 
 from ..io.srgb import encode_srgb
 
-BLUR = math.radians(3)  # standard deviation of the Gaussian window; 2 to 5 degrees tell errors about as well on five scenes
+BLUR = math.radians(3)  # standard deviation of the Gaussian window, radians; 2 to 5 degrees tell errors about as well on five scenes
 HALF_CONTRAST = 0.1  # standard deviation of encoded values in the window at which the confidence is halved
 # Largest confidence where the photographs do not constrain the light. Its smooth guess errs less there than the map does at its edges.
 MAX_UNCONSTRAINED = 0.5
-MIN_SINE = 0.02  # of a row's polar angle: the window stays smaller than a row near the poles
 
 
 def light_confidence(light: np.ndarray, part: np.ndarray) -> np.ndarray:
@@ -40,6 +39,7 @@ def _blurred(values: np.ndarray) -> np.ndarray:
     """Blur a lat-long map (H, W) by a window of BLUR on the sphere."""
     height = len(values)
     sigma = BLUR * height / math.pi
-    sine = np.maximum(np.sin((np.arange(height) + 0.5) * math.pi / height), MIN_SINE)
-    rows = [gaussian_filter1d(row, min(sigma / s, height / 2), mode="wrap") for row, s in zip(values, sine, strict=True)]
+    sine = np.sin((np.arange(height) + 0.5) * math.pi / height)
+    widths = np.minimum(sigma / sine, height / 2)  # near the poles the window holds most of a row
+    rows = [gaussian_filter1d(row, width, mode="wrap") for row, width in zip(values, widths, strict=True)]
     return gaussian_filter1d(np.stack(rows), sigma, axis=0, mode="nearest")

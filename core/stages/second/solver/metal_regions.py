@@ -42,7 +42,7 @@ MIN_REGION_GAIN = 0.008
 # A small region needs no more than its share of the points, but at least this. False regions of so few points gained at most .003.
 MIN_SMALL_REGION_GAIN = 0.006
 # A large region needs a larger gain: MIN_GAIN_PER_SHARE times its share of the points. Leaves of a captured plant, which are no metal,
-# gained 0.23 and 0.27 times their share in fewer steps; regions of metal on four scenes, 0.32 times and more.
+# gained 0.23 and 0.27 times their share in fewer steps; regions of metal on four scenes, 0.35 times and more.
 MIN_GAIN_PER_SHARE = 0.3
 # Median roughness above which a region is not tested: where the surface is wrong, in gaps and at contacts, rough metal explains shadows
 # better. Such regions had .79 and more on four scenes, regions of metal .35 to .69 on seven. Two false ones were sharper (.69, and below .6
