@@ -46,8 +46,9 @@ def even_ranges(count: int, parts: int) -> list[tuple[int, int]]:
     Returns:
         (begin, end) of each range, in order.
     """
-    edges = np.linspace(0, count, max(1, min(parts, count)) + 1).astype(int)
-    return [(int(a), int(b)) for a, b in itertools.pairwise(edges) if b > a]
+    parts = max(1, min(parts, count))
+    edges = [count * i // parts for i in range(parts + 1)]
+    return [(a, b) for a, b in itertools.pairwise(edges) if b > a]
 
 
 def balanced_ranges(cost: np.ndarray, parts: int) -> list[tuple[int, int]]:

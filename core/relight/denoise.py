@@ -87,7 +87,7 @@ class Guides:
     Args:
         surface: covered pixels of a view.
         radius: scene radius, world units.
-        keep_weights: keep the weights from one filter call to the next, 1.2 kB per pixel.
+        keep_weights: keep the weights from one filter call to the next, 0.6 kB per pixel.
 
     Attributes:
         diffuse: (P, 3) albedo of the diffuse lobe, by which its light is divided before it is filtered.
@@ -115,7 +115,7 @@ class Guides:
     @staticmethod
     def kept_size(surface: PrimaryHits) -> int:
         """Estimate the bytes of the weights that a surface would keep."""
-        return len(surface.index) * 4 * sum(len(bilateral.spatial()) ** 2 for bilateral in (DIFFUSE, SPECULAR))
+        return len(surface.index) * 2 * sum(len(bilateral.spatial()) ** 2 for bilateral in (DIFFUSE, SPECULAR))
 
     def filtered(self, values: torch.Tensor, bilateral: Filter) -> torch.Tensor:
         """Filter values at the surface's pixels: every pixel becomes a weighted mean of its neighbours, with weights that sum to 1.
@@ -166,9 +166,9 @@ class Guides:
         spatial, size = bilateral.spatial(), (self._grid.stride, self._grid.plane)
         guided = (self._planes, spatial, np.float32(bilateral.epsilon * self._radius), bilateral.doublings)
         if self._keep_weights and bilateral not in self._weights:
-            self._weights[bilateral] = np.empty(len(self._groups) * spatial.size * 8, np.float32)
+            self._weights[bilateral] = np.empty(len(self._groups) * spatial.size * 8, np.uint16)
             run_ranges(weigh_range, self._ranges, self._groups, *guided, *size, self._weights[bilateral])
-        return self._groups, self._weights.get(bilateral, np.empty(0, np.float32)), *guided, *size
+        return self._groups, self._weights.get(bilateral, np.empty(0, np.uint16)), *guided, *size
 
     def _gathered(self, planes: np.ndarray) -> torch.Tensor:
         """Return the values (P, C) of flattened planes at the surface's pixels."""

@@ -124,13 +124,9 @@ def estimate_reference(sums: torch.Tensor, samples: int, reflectance: Reflectanc
 
 def joined_estimate(divided: DividedHits, single: Estimate, rays: Estimate) -> Estimate:
     """Return the light that divided pixels reflect, of that of their single points and that of their rays."""
-    return Estimate(
-        divided.joined(single.diffuse, rays.diffuse),
-        divided.joined(single.specular, rays.specular),
-        divided.joined(single.diffuse_split, rays.diffuse_split),
-        divided.joined(single.specular_split, rays.specular_split),
-        single.samples,
-    )
+    rows = (torch.cat([one.diffuse, one.specular, one.diffuse_split, one.specular_split], 1) for one in (single, rays))
+    diffuse, specular, diffuse_split, specular_split = divided.joined(*rows).split(3, 1)
+    return Estimate(diffuse, specular, diffuse_split, specular_split, single.samples)
 
 
 def _plus_lamps(estimate: Estimate, sums: torch.Tensor, albedo: torch.Tensor, f0: torch.Tensor) -> Estimate:

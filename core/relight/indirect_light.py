@@ -11,9 +11,10 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any
 
+import numpy as np
 import torch
 
-from ..kernels.cpu.gathering import gather_range, terms_range
+from ..kernels.cpu.gathering import gather_range, reflected_range, terms_range
 from ..machine.backend import by_warp
 from ..machine.thread_pool import even_ranges, run_ranges, thread_count
 from ..settings.schema import Brdf
@@ -261,12 +262,16 @@ def gather(rays: SecondaryRays, light: PreparedLight, light_map_samples: float, 
     """
     assert light.distribution is not None
     sums = rays.terms.new_zeros(len(rays.terms), 2, SUMS)
-    maps = (light.radiance[None], light.diffuse[None], light.specular, light.distribution.texels)
     vertices = sums.new_zeros(0, 4) if vertex_light is None else vertex_light
-    tensors = (rays.terms, rays.row, *rays.hits.tensors, vertices, *(t.contiguous() for t in maps))
+    hits, texels = (*rays.hits.tensors, vertices), light.distribution.texels
+    radiance, diffuse, specular = (t.contiguous() for t in (light.radiance, light.diffuse, light.specular))
     if by_warp(sums):
-        _warp_kernels().gather(*tensors, light_map_samples, light.turn, sums)
-    else:
-        parts = even_ranges(len(sums), 4 * thread_count())
-        run_ranges(gather_range, parts, *(t.numpy() for t in tensors), light_map_samples, light.turn, sums.numpy())
+        maps = (radiance[None], diffuse[None], specular, texels)
+        _warp_kernels().gather(rays.terms, rays.row, *hits, *maps, light_map_samples, light.turn, sums)
+        return sums
+    opacity, *surfaces = (t.numpy() for t in (*hits, diffuse, specular))
+    reflected, turn = np.empty((len(opacity), 3), np.float32), np.float32(light.turn)
+    run_ranges(reflected_range, even_ranges(len(opacity), 2 * thread_count()), *surfaces, turn, reflected)
+    points = (rays.terms.numpy(), rays.row.numpy(), opacity, reflected, radiance.numpy(), texels.numpy())
+    run_ranges(gather_range, even_ranges(len(sums), 2 * thread_count()), *points, np.float32(light_map_samples), turn, sums.numpy())
     return sums

@@ -115,8 +115,8 @@ class DividedHits:
         return cls(surface.only(single_row), single_row, rays, row, rays.alpha / opacity[row], len(surface.index))
 
     def joined(self, of_single: torch.Tensor, of_rays: torch.Tensor) -> torch.Tensor:
-        """Return the values (P, 3) of all pixels, of those of the single points (K, 3) and those of the rays (R, 3)."""
-        pixels = of_single.new_zeros(self.count, 3)
+        """Return the values (P, C) of all pixels, of those of the single points (K, C) and those of the rays (R, C)."""
+        pixels = of_single.new_zeros(self.count, of_single.shape[1])
         return pixels.index_copy(0, self.single_row, of_single).index_add(0, self.ray_row, of_rays * self.share[:, None])
 
 

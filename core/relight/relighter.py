@@ -42,8 +42,8 @@ from .vertex_transfer import VertexTransfer
 from .visibility_cache import VisibilityCache, build_visibility_cache
 from .without_shadows import WithoutShadows, gather_unoccluded
 
-RAYS = 1 << 17  # rays traced at a time on the CPU: few enough for its cache, enough for every thread
-CACHE_BYTES = 1 << 28  # largest size of the secondary rays kept from light to light
+RAYS = 1 << 18  # rays traced at a time on the CPU: 50 to 100 MB, and enough for every thread
+CACHE_BYTES = 1 << 29  # largest size of the secondary rays kept from light to light
 
 
 class Relighter:

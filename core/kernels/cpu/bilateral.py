@@ -13,7 +13,10 @@ from __future__ import annotations
 import numpy as np
 
 from .jit import helper, kernel
-from .simd import bits, exp, load, maximum, minimum, select, splat, store
+from .simd import bits, load, load_uint16, maximum, minimum, splat, store, store_uint16
+from .simd_math import exp
+
+WHOLE, HALF = np.float32(65000), np.float32(0.5)  # weights are kept as uint16: half the memory to read, and as exact as they need to be
 
 
 @helper
@@ -24,11 +27,10 @@ def _absolute(x):
 
 @helper
 def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
-    """Write the weights of the group `at`, a vector for each neighbour, to weights[to..]; they sum to 1."""
+    """Write the weights of the group `at` in units of 1 / WHOLE, a vector for each neighbour, to weights[to..]."""
     reach = spatial.shape[0] // 2
     nx, ny, nz = load(guides, at), load(guides, plane + at), load(guides, 2 * plane + at)
     z, right, down = load(guides, 3 * plane + at), load(guides, 4 * plane + at), load(guides, 5 * plane + at)
-    total = splat(0.0)
     tap = to
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
@@ -42,35 +44,44 @@ def _weigh(at, guides, spatial, epsilon, doublings, stride, plane, weights, to):
                     cosine = cosine * cosine
                 step = _absolute(right * np.float32(dx) + down * np.float32(dy)) + epsilon
                 depth = exp(_absolute(load(guides, 3 * plane + neighbour) - z) / step * -1.0)
-                weight = cosine * depth * coverage * spatial[dy + reach, dx + reach]
-            total = total + weight
-            store(weights, tap, weight)
+                weight = cosine * depth * minimum(coverage, splat(1.0)) * (spatial[dy + reach, dx + reach] * WHOLE)
+            store_uint16(weights, tap, weight + HALF)
             tap += 8
-    scale = select(total > 0.0, 1.0 / select(total > 0.0, total, splat(1.0)), splat(0.0))
-    for i in range(to, tap, 8):
-        store(weights, i, load(weights, i) * scale)
 
 
 @helper
-def _mean(at, values, weights, begin, reach, stride, plane, acc, out):
-    """Write the weighted mean of the neighbours of the group `at` to `out`, in every plane of `values`."""
-    channels = len(values) // plane
-    acc[:] = 0.0
-    tap = begin
+def _mean(first, weights, begin, reach, stride, values):
+    """Return the mean of `values` at the neighbours of 8 pixels, values[first..], by the weights[begin..]; 0 where all weights are 0."""
+    total, acc = splat(0.0), splat(0.0)
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
-            neighbour = at + dy * stride + dx
-            weight = load(weights, tap)
-            tap += 8
-            for c in range(channels):
-                store(acc, c * 8, load(acc, c * 8) + weight * load(values, c * plane + neighbour))
-    for c in range(channels):
-        store(out, c * plane + at, load(acc, c * 8))
+            weight = load_uint16(weights, begin)
+            begin += 8
+            total = total + weight
+            acc = acc + weight * load(values, first + dy * stride + dx)
+    return acc / maximum(total, splat(HALF))
+
+
+@helper
+def _means(at, weights, begin, reach, stride, plane, values):
+    """Return the means of four planes, see `_mean`."""
+    total, a, b, c, d = splat(0.0), splat(0.0), splat(0.0), splat(0.0), splat(0.0)
+    for dy in range(-reach, reach + 1):
+        for dx in range(-reach, reach + 1):
+            weight, neighbour = load_uint16(weights, begin), at + dy * stride + dx
+            begin += 8
+            total = total + weight
+            a = a + weight * load(values, neighbour)
+            b = b + weight * load(values, plane + neighbour)
+            c = c + weight * load(values, 2 * plane + neighbour)
+            d = d + weight * load(values, 3 * plane + neighbour)
+    scale = 1.0 / maximum(total, splat(HALF))
+    return a * scale, b * scale, c * scale, d * scale
 
 
 @kernel
 def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride, plane, weights):
-    """Compute the weights (groups, T T, 8), flat, of groups begin..end, to be kept for the kernels below.
+    """Compute the weights (groups, T T, 8), flat uint16, of groups begin..end, to be kept for the kernels below.
 
     spatial: (T, T), T odd. The exponent of n.n' is 2^doublings.
     """
@@ -80,13 +91,12 @@ def weigh_range(begin, end, groups, guides, spatial, epsilon, doublings, stride,
 
 
 @helper
-def _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, out):
-    """Write the weighted mean of the neighbours of group i to `out`, by the weights `kept`, or where that is empty by computed ones."""
-    weights, begin = kept, i * spatial.size * 8
-    if len(kept) == 0:
-        _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, own, 0)
-        weights, begin = own, 0
-    _mean(groups[i], values, weights, begin, spatial.shape[0] // 2, stride, plane, acc, out)
+def _weights_of(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own):
+    """Return where the weights of group i begin in `kept`, or where that is empty compute them in `own`."""
+    if len(kept) > 0:
+        return i * spatial.size * 8
+    _weigh(groups[i], guides, spatial, epsilon, doublings, stride, plane, own, 0)
+    return 0
 
 
 @kernel
@@ -95,24 +105,28 @@ def mean_range(begin, end, groups, kept, guides, spatial, epsilon, doublings, st
 
     kept: weights from `weigh_range`; empty: they are computed and not stored.
     """
-    own = np.empty(spatial.size * 8, np.float32)
-    acc = np.empty(len(values) // plane * 8, np.float32)
+    own, reach = np.empty(spatial.size * 8, np.uint16), spatial.shape[0] // 2
+    weights = kept if len(kept) > 0 else own
     for i in range(begin, end):
-        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, out)
+        at = _weights_of(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own)
+        for first in range(groups[i], len(values), plane):
+            store(out, first, _mean(first, weights, at, reach, stride, values))
 
 
 @kernel
 def smooth_range(begin, end, groups, kept, guides, spatial, epsilon, doublings, stride, plane, values, smooth, change):
-    """Filter like `mean_range`, and write to `change` (1 plane) the mean square by which this changes the first three planes."""
-    own = np.empty(spatial.size * 8, np.float32)
-    acc = np.empty(len(values) // plane * 8, np.float32)
+    """Filter four planes like `mean_range`, and write to `change` (1 plane) the mean square by which this changes the first three."""
+    own, reach = np.empty(spatial.size * 8, np.uint16), spatial.shape[0] // 2
+    weights = kept if len(kept) > 0 else own
     for i in range(begin, end):
-        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, values, acc, smooth)
-        at, total = groups[i], splat(0.0)
-        for c in range(3):
-            difference = load(values, c * plane + at) - load(smooth, c * plane + at)
-            total = total + difference * difference
-        store(change, at, total * (1.0 / 3.0))
+        begins, at = _weights_of(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own), groups[i]
+        a, b, c, d = _means(at, weights, begins, reach, stride, plane, values)
+        store(smooth, at, a)
+        store(smooth, plane + at, b)
+        store(smooth, 2 * plane + at, c)
+        store(smooth, 3 * plane + at, d)
+        a, b, c = load(values, at) - a, load(values, plane + at) - b, load(values, 2 * plane + at) - c
+        store(change, at, (a * a + b * b + c * c) * (1.0 / 3.0))
 
 
 @kernel
@@ -122,14 +136,13 @@ def correct_range(begin, end, groups, kept, guides, spatial, epsilon, doublings,
     smooth: four planes; the last has the variance of the values' mean. chance: square of their relative error that is assumed as well.
     The reference in PyTorch operations is `corrected_reference` in core/relight/denoise.py.
     """
-    own = np.empty(spatial.size * 8, np.float32)
-    acc = np.empty(8, np.float32)
+    own, reach = np.empty(spatial.size * 8, np.uint16), spatial.shape[0] // 2
+    weights = kept if len(kept) > 0 else own
     for i in range(begin, end):
-        _filter(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own, change, acc, out)  # replaced below
-        at = groups[i]
+        begins, at = _weights_of(i, groups, kept, guides, spatial, epsilon, doublings, stride, plane, own), groups[i]
         s0, s1, s2 = load(smooth, at), load(smooth, plane + at), load(smooth, 2 * plane + at)
         variance = load(smooth, 3 * plane + at) + (s0 * s0 + s1 * s1 + s2 * s2) * (chance / 3.0)
-        keep = splat(1.0) - variance / maximum(load(out, at), splat(1e-36))
+        keep = splat(1.0) - variance / maximum(_mean(at, weights, begins, reach, stride, change), splat(1e-36))
         keep = minimum(maximum(keep, splat(0.0)), splat(1.0))
         store(out, at, s0 + keep * (load(values, at) - s0))
         store(out, plane + at, s1 + keep * (load(values, plane + at) - s1))

@@ -14,59 +14,82 @@ import numpy as np
 from .directions import lightmap_place, texel_at, turned
 from .jit import helper, kernel
 from .reflection import irgs_terms, point_terms, specular_terms
+from .simd import load, ramp, select, splat, store
+
+_ZERO, _HALF, _ONE, _TWO, _THREE = (np.float32(value) for value in (0.0, 0.5, 1.0, 2.0, 3.0))
 
 
 @helper
-def _bilinear(maps, level, u, v):
-    """Look three channels up in map `level` of maps (L, H, W, 3), bilinearly, wrapped in u.
+def _triple(red, green, blue):
+    """Return a vector that begins with three values, and is 0 behind them."""
+    lane = ramp()
+    return select(lane < _ONE, splat(red), select(lane < _TWO, splat(green), select(lane < _THREE, splat(blue), splat(_ZERO))))
 
-    Scalar code for kernels; `tests/core/shading/test_lightmap_agreement.py` compares it with the lookups in PyTorch and numpy.
+
+@helper
+def _texel(texels, at):
+    """Return the texel whose first value is texels[at] as a vector, see `_triple`."""
+    return _triple(texels[at], texels[at + 1], texels[at + 2])
+
+
+@helper
+def _bilinear(texels, level, height, width, u, v):
+    """Look three channels up in map `level` of flat float32 maps (L H W 3), bilinearly, wrapped in u.
+
+    Return a vector whose lanes c and 3 + c sum to channel c, of a texel and its right neighbour; the last two lanes mean nothing.
     """
-    height, width = maps.shape[1], maps.shape[2]
-    x, y = u * width - 0.5, min(max(v * height - 0.5, 0.0), height - 1.0)
-    x0, y0 = math.floor(x), math.floor(y)
-    fx, fy = x - x0, y - y0
-    left = int(x0) + width if x0 < 0 else int(x0)
-    right = left + 1 if left + 1 < width else 0
-    top = int(y0)
-    bottom = min(top + 1, height - 1)
-    a, b, c, d = (1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy
-    red, green, blue = 0.0, 0.0, 0.0
-    for row, column, weight in ((top, left, a), (top, right, b), (bottom, left, c), (bottom, right, d)):
-        red += weight * maps[level, row, column, 0]
-        green += weight * maps[level, row, column, 1]
-        blue += weight * maps[level, row, column, 2]
-    return red, green, blue
+    x, y = u * np.float32(width) - _HALF, min(max(v * np.float32(height) - _HALF, _ZERO), np.float32(height - 1))
+    x0, top = math.floor(x), int(y)
+    fx, fy = x - np.float32(x0), y - np.float32(top)
+    left = x0 + width if x0 < 0 else x0
+    row, below = (level * height + top) * width, (level * height + min(top + 1, height - 1)) * width
+    if left + 1 >= width or (below + left) * 3 + 8 > len(texels):  # the neighbour is at the row's other end, or the maps end too soon
+        right = left + 1 if left + 1 < width else 0
+        first = _texel(texels, (row + left) * 3) * (_ONE - fx) + _texel(texels, (row + right) * 3) * fx
+        second = _texel(texels, (below + left) * 3) * (_ONE - fx) + _texel(texels, (below + right) * 3) * fx
+        return first * (_ONE - fy) + second * fy
+    across = select(ramp() < _THREE, splat(_ONE - fx), splat(fx))
+    return across * (load(texels, (row + left) * 3) * (_ONE - fy) + load(texels, (below + left) * 3) * fy)
 
 
 @helper
-def reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular, turn):
-    """Return the radiance that hit k reflects along its ray: its diffuse and specular albedo times the light that reaches it.
+def _channels(pair, lanes):
+    """Return the three channels of a vector from `_bilinear`; `lanes` (8,) is overwritten."""
+    store(lanes, 0, pair)
+    return lanes[0] + lanes[3], lanes[1] + lanes[4], lanes[2] + lanes[5]
+
+
+@kernel
+def reflected_range(begin, end, body, gloss, place, corner, weight, vertices, diffuse, specular, turn, out):
+    """Write to `out` (K, 3), for hits begin..end, the radiance that they reflect: diffuse and specular albedo times the light that arrives.
 
     place: (K, 5) u, v of the normal, u, v of the mirrored ray, level in the specular stack. vertices: (V, 4) irradiance / pi and visible
     fraction of the light at the mesh's vertices, of which `corner` (K, 3) are around the hit with `weight` (K, 3); V = 0: the unoccluded
-    light reaches every hit.
+    light reaches every hit. diffuse: (h, w, 3); specular: (L, h, w, 3).
     """
-    visible = 1.0
-    if len(vertices) == 0:
-        red, green, blue = _bilinear(diffuse, 0, turned(float(place[k, 0]), turn), float(place[k, 1]))
-    else:
-        red, green, blue, visible = 0.0, 0.0, 0.0, 0.0
-        for c in range(3):
-            at, share = corner[k, c], float(weight[k, c])
-            red += share * vertices[at, 0]
-            green += share * vertices[at, 1]
-            blue += share * vertices[at, 2]
-            visible += share * vertices[at, 3]
-    u, v, level = turned(float(place[k, 2]), turn), float(place[k, 3]), float(place[k, 4])
-    low = min(int(level), specular.shape[0] - 2)
-    f = level - low
-    r0, g0, b0 = _bilinear(specular, low, u, v)
-    r1, g1, b1 = _bilinear(specular, low + 1, u, v)
-    red = float(body[k, 0]) * red + visible * float(gloss[k, 0]) * (r0 + f * (r1 - r0))
-    green = float(body[k, 1]) * green + visible * float(gloss[k, 1]) * (g0 + f * (g1 - g0))
-    blue = float(body[k, 2]) * blue + visible * float(gloss[k, 2]) * (b0 + f * (b1 - b0))
-    return red, green, blue
+    levels, height, width = specular.shape[:3]
+    texels, smoothest = specular.reshape(-1), diffuse.reshape(-1)
+    lanes = np.zeros(8, np.float32)
+    for k in range(begin, end):
+        visible = _ONE
+        if len(vertices) == 0:
+            at = _bilinear(smoothest, 0, diffuse.shape[0], diffuse.shape[1], np.float32(turned(place[k, 0], turn)), place[k, 1])
+            red, green, blue = _channels(at, lanes)
+        else:
+            red, green, blue, visible = _ZERO, _ZERO, _ZERO, _ZERO
+            for c in range(3):
+                at, share = corner[k, c], weight[k, c]
+                red += share * vertices[at, 0]
+                green += share * vertices[at, 1]
+                blue += share * vertices[at, 2]
+                visible += share * vertices[at, 3]
+        u, v, level = np.float32(turned(place[k, 2], turn)), place[k, 3], place[k, 4]
+        low = min(int(level), levels - 2)
+        smooth, rough = _bilinear(texels, low, height, width, u, v), _bilinear(texels, low + 1, height, width, u, v)
+        r, g, b = _channels((smooth + (rough - smooth) * (level - np.float32(low))) * visible, lanes)
+        out[k, 0] = body[k, 0] * red + gloss[k, 0] * r
+        out[k, 1] = body[k, 1] * green + gloss[k, 1] * g
+        out[k, 2] = body[k, 2] * blue + gloss[k, 2] * b
 
 
 @kernel
@@ -93,48 +116,38 @@ def terms_range(begin, end, view, normal, alpha, direction, density, irgs, terms
 
 
 @kernel
-def gather_range(
-    begin, end, terms, row, opacity, body, gloss, place, corner, weight, vertices, light, diffuse, specular, texels, light_count, turn, sums
-):  # fmt: skip
+def gather_range(begin, end, terms, row, opacity, reflected, light, texels, light_count, turn, sums):
     """Add to `sums` (P, 2, 12), for points begin..end, the light along rays: even samples to the first half, odd ones to the second.
 
     The twelve sums, three channels each: light for the diffuse lobe, for F0, for what Fresnel adds, and for the diffuse lobe without any
-    occlusion. `light_count` times the light's own density, `texels` (H W,), is added to the density of the rays where they see the light
-    itself, but not for what a hit surface reflects: light samples bring none of that. row: (P, M) index of one of K hits, -1 for none.
+    occlusion. light: (H, W, 3). `light_count` times the light's own density, `texels` (H W,), is added to the density of the rays where
+    they see the light itself, but not for what a hit surface reflects: light samples bring none of that. row: (P, M) index of one of K
+    hits, -1 for none; opacity, reflected: (K,) and (K, 3) of them.
     """
-    height, width = light.shape[1], light.shape[2]
-    acc = np.empty(24)
+    height, width = light.shape[:2]
+    light, lanes = light.reshape(-1), np.zeros(32, np.float32)
     for p in range(begin, end):
-        acc[:] = 0.0
-        for i in range(terms.shape[1]):
-            n_l = float(terms[p, i, 2])
-            if n_l <= 0:
-                continue
-            u, v = turned(float(terms[p, i, 0]), turn), float(terms[p, i, 1])
-            q = float(terms[p, i, 5])
-            if light_count > 0:
-                q += light_count * float(texels[texel_at(u, v, height, width)])
-            r, g, b = _bilinear(light, 0, u, v)
-            r, g, b = r / q, g / q, b / q
-            at = (i & 1) * 12
-            acc[at + 9] += n_l * r
-            acc[at + 10] += n_l * g
-            acc[at + 11] += n_l * b
-            k = row[p, i]
-            if k >= 0:
-                hr, hg, hb = reflected(k, body, gloss, place, corner, weight, vertices, diffuse, specular, turn)
-                hidden, own = float(opacity[k]), 1 / float(terms[p, i, 5])
-                r, g, b = r + hidden * (own * hr - r), g + hidden * (own * hg - g), b + hidden * (own * hb - b)
-            value, bias = float(terms[p, i, 3]), float(terms[p, i, 4])
-            acc[at] += n_l * r
-            acc[at + 1] += n_l * g
-            acc[at + 2] += n_l * b
-            acc[at + 3] += value * r
-            acc[at + 4] += value * g
-            acc[at + 5] += value * b
-            acc[at + 6] += bias * r
-            acc[at + 7] += bias * g
-            acc[at + 8] += bias * b
-        for c in range(12):
-            sums[p, 0, c] += acc[c]
-            sums[p, 1, c] += acc[12 + c]
+        for half in range(2):
+            whole, by_cosine, by_value, by_bias = splat(_ZERO), splat(_ZERO), splat(_ZERO), splat(_ZERO)
+            for i in range(half, terms.shape[1], 2):
+                n_l, own = terms[p, i, 2], terms[p, i, 5]
+                if n_l <= _ZERO:
+                    continue
+                u, v = np.float32(turned(terms[p, i, 0], turn)), terms[p, i, 1]
+                density = own + light_count * texels[texel_at(u, v, height, width)] if light_count > _ZERO else own
+                arriving = _bilinear(light, 0, height, width, u, v) * (_ONE / density)
+                whole = whole + arriving * n_l
+                k = row[p, i]
+                if k >= 0:
+                    surface = _triple(reflected[k, 0], reflected[k, 1], reflected[k, 2]) * (_ONE / own)
+                    arriving = arriving + (surface - arriving) * opacity[k]
+                by_cosine = by_cosine + arriving * n_l
+                by_value = by_value + arriving * terms[p, i, 3]
+                by_bias = by_bias + arriving * terms[p, i, 4]
+            store(lanes, 0, by_cosine)
+            store(lanes, 8, by_value)
+            store(lanes, 16, by_bias)
+            store(lanes, 24, whole)
+            for c in range(12):
+                at = c // 3 * 8 + c % 3
+                sums[p, half, c] += lanes[at] + lanes[at + 3]

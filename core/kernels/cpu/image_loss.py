@@ -8,7 +8,8 @@ import math
 import numpy as np
 
 from .jit import helper, kernel
-from .simd import exp, load, log2, maximum, select, splat, store
+from .simd import load, maximum, select, splat, store
+from .simd_math import exp, log2
 
 # The sRGB curve of core/io/srgb.py, which this kernel is tested against: a line up to _LINEAR.
 _LINEAR, _SLOPE, _SCALE, _SHIFT, _POWER = (np.float32(c) for c in (0.0031308, 12.92, 1.055, 0.055, 2.4))

@@ -22,7 +22,8 @@ from ..constants import ALPHA_MIN, LOG_SCALE_MIN, LOW_PASS, SPLAT_GRADIENTS
 from .frame import add, cross, dot, frame, quaternion_gradient, rotate_back, scaled
 from .harmonics import basis, basis_gradient
 from .jit import helper, kernel
-from .simd import exp, load, maximum, select, splat, sqrt, store
+from .simd import load, maximum, select, splat, sqrt, store
+from .simd_math import exp
 
 
 @helper

@@ -20,7 +20,8 @@ import numpy as np
 from ..constants import ALPHA_MAX, HORIZON_MIN, LOW_PASS, SPLAT_GRADIENTS, SPLAT_RECORD, TILE, TRANSMITTANCE_MIN
 from .jit import helper, kernel
 from .reductions import totals
-from .simd import bits, bounded_exp, first_bit, load, minimum, prefetch, ramp, select, splat, store
+from .simd import bits, first_bit, load, minimum, prefetch, ramp, select, splat, store
+from .simd_math import bounded_exp
 
 _AHEAD = 4  # entries between the prefetch of a splat and its use: splats are scattered in memory, outside the L1 cache
 _PIXELS = TILE * TILE

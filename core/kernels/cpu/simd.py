@@ -16,16 +16,14 @@ from numba.core.typing.templates import ConcreteTemplate, signature
 from numba.core.typing.templates import infer_global as _infer_global
 from numba.extending import lower_builtin, models, register_model
 
-from .jit import helper
-
 # Declared Any: their annotations do not describe the decorated functions.
 intrinsic: Any = numba.extending.intrinsic
 infer_global: Any = _infer_global
 
 WIDTH = 8
-_FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
+FLOATS = ir.VectorType(ir.FloatType(), WIDTH)
 INTS = ir.VectorType(ir.IntType(32), WIDTH)
-_BITS = ir.VectorType(ir.IntType(1), WIDTH)
+_BITS, _SHORTS = ir.VectorType(ir.IntType(1), WIDTH), ir.VectorType(ir.IntType(16), WIDTH)
 
 
 class _Vector(types.Type):
@@ -40,12 +38,12 @@ class _VectorModel(models.PrimitiveModel):
     """Data model of a vector: the LLVM vector itself."""
 
     def __init__(self, manager, numba_type):
-        super().__init__(manager, numba_type, _FLOATS if numba_type.name == "f32x8" else _BITS)
+        super().__init__(manager, numba_type, FLOATS if numba_type.name == "f32x8" else _BITS)
 
 
 def _broadcast(builder, scalar):
     """Return an LLVM vector of 8 copies of a scalar."""
-    first = builder.insert_element(ir.Constant(_FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    first = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
     return builder.shuffle_vector(first, first, ir.Constant(INTS, [0] * WIDTH))
 
 
@@ -71,10 +69,10 @@ _operator(operator.and_, b8, lambda b, x, y: b.and_(x, y), (b8, None))
 _operator(operator.or_, b8, lambda b, x, y: b.or_(x, y), (b8, None))
 
 
-def _pointer(context, builder, array_type, array, index):
+def _pointer(context, builder, array_type, array, index, vector=FLOATS):
     """Return the address of element `index` as a pointer to a vector."""
     data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), _FLOATS.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
 
 
 @intrinsic
@@ -109,6 +107,44 @@ def store(typing, array, index, value):
     def emit(context, builder, sig, args):
         instruction = builder.store(args[2], _pointer(context, builder, sig.args[0], *args[:2]))
         instruction.align = 4
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, f32x8), emit
+
+
+@intrinsic
+def load_uint16(typing, array, index):
+    """Load 8 consecutive whole numbers as floats.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        array: (N,) contiguous uint16 array.
+        index: first element.
+    """
+
+    def emit(context, builder, sig, args):
+        whole = builder.load(_pointer(context, builder, sig.args[0], *args, vector=_SHORTS))
+        whole.align = 2
+        return builder.sitofp(builder.zext(whole, INTS), FLOATS)
+
+    return f32x8(array, types.intp), emit
+
+
+@intrinsic
+def store_uint16(typing, array, index, value):
+    """Store 8 floats as consecutive whole numbers.
+
+    Args:
+        typing: numba's typing context, passed by `intrinsic`.
+        array: (N,) contiguous uint16 array.
+        index: first element.
+        value: vector of numbers in 0..65535, which are rounded down.
+    """
+
+    def emit(context, builder, sig, args):
+        whole = builder.trunc(builder.fptosi(args[2], INTS), _SHORTS)
+        instruction = builder.store(whole, _pointer(context, builder, sig.args[0], *args[:2], vector=_SHORTS))
+        instruction.align = 2
         return context.get_dummy_value()
 
     return types.void(array, types.intp, f32x8), emit
@@ -150,7 +186,7 @@ def splat(typing, value):
 @intrinsic
 def ramp(typing):
     """Return the vector 0, 1, ... 7."""
-    return f32x8(), lambda context, builder, sig, args: ir.Constant(_FLOATS, [float(i) for i in range(WIDTH)])
+    return f32x8(), lambda context, builder, sig, args: ir.Constant(FLOATS, [float(i) for i in range(WIDTH)])
 
 
 @intrinsic
@@ -192,7 +228,7 @@ def _unary(name):
 
     @intrinsic
     def function(typing, value):
-        return f32x8(f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", _FLOATS, [args[0]])
+        return f32x8(f32x8), lambda context, builder, sig, args: _llvm(builder, f"llvm.{name}.v8f32", FLOATS, [args[0]])
 
     return function
 
@@ -225,68 +261,3 @@ def first_bit(typing, mask):
         return builder.cttz(args[0], ir.Constant(ir.IntType(1), 1))
 
     return types.int64(types.uint64), emit
-
-
-@intrinsic
-def _power_of_two(typing, exponent):
-    """Return 2^n for whole n in -126..127, by writing the exponent bits."""
-
-    def emit(context, builder, sig, args):
-        whole = builder.fptosi(args[0], INTS)
-        biased = builder.add(whole, ir.Constant(INTS, [127] * WIDTH))
-        return builder.bitcast(builder.shl(biased, ir.Constant(INTS, [23] * WIDTH)), _FLOATS)
-
-    return f32x8(f32x8), emit
-
-
-@intrinsic
-def _split(typing, value):
-    """Return mantissa in sqrt(1/2)..sqrt(2) and exponent of positive values, x = m 2^n."""
-
-    def emit(context, builder, sig, args):
-        constant = lambda i: ir.Constant(INTS, [i] * WIDTH)  # noqa: E731
-        whole = builder.bitcast(args[0], INTS)
-        exponent = builder.ashr(builder.sub(whole, constant(0x3F3504F3)), constant(23))  # the bits of sqrt(1/2)
-        mantissa = builder.bitcast(builder.sub(whole, builder.shl(exponent, constant(23))), _FLOATS)
-        return context.make_tuple(builder, sig.return_type, (mantissa, builder.sitofp(exponent, _FLOATS)))
-
-    return types.UniTuple(f32x8, 2)(f32x8), emit
-
-
-@helper
-def log2(x):
-    """Return the logarithm to base 2 of positive values that are no denormals, with an error under 2e-7 of it plus 6e-8."""
-    m, n = _split(x)
-    s = (m - 1.0) / (m + 1.0)
-    s2 = s * s
-    p = s2 * 4.1219859e-1 + 5.7707802e-1
-    p = p * s2 + 9.6179669e-1
-    return n + (p * s2 + 2.8853901) * s
-
-
-@helper
-def exp(x):
-    """Return e^x with a relative error under 3e-7; the argument is clamped to -87..88."""
-    x = minimum(maximum(x, splat(-87.0)), splat(88.0))
-    n = floor(x * 1.44269504 + 0.5)
-    r = x - n * 0.693359375 + n * 2.12194440e-4
-    p = r * 1.9875691500e-4 + 1.3981999507e-3
-    p = p * r + 8.3334519073e-3
-    p = p * r + 4.1665795894e-2
-    p = p * r + 1.6666665459e-1
-    p = p * r + 5.0000001201e-1
-    return (p * (r * r) + r + 1.0) * _power_of_two(n)
-
-
-@helper
-def bounded_exp(x):
-    """Return e^x for x in -8..8 with a relative error under 1e-6, in fewer instructions than `exp`, which takes any x."""
-    x = x * 1.44269504
-    n = floor(x + 0.5)
-    r = x - n
-    p = r * 1.5461455e-4 + 1.3390887e-3
-    p = p * r + 9.618057e-3
-    p = p * r + 5.550357e-2
-    p = p * r + 2.4022651e-1
-    p = p * r + 6.9314718e-1
-    return (p * r + 1.0) * _power_of_two(n)

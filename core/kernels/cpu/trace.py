@@ -16,7 +16,8 @@ from ..constants import ALPHA_MAX, AXIS_U, AXIS_V, CUT, GRAZING, NORMAL, OPACITY
 from .bvh import LEAF, NODE
 from .jit import helper, kernel
 from .reductions import product
-from .simd import bits, exp, first_bit, load, maximum, minimum, select, splat, store
+from .simd import bits, first_bit, load, maximum, minimum, select, splat, store
+from .simd_math import exp
 
 NEAREST = 48  # hits collected in one traversal
 GROUP = 6  # nodes opened at once, which hides the latency of memory

@@ -8,12 +8,10 @@ from irgspp.core.kernels.cpu.jit import kernel
 from irgspp.core.kernels.cpu.reductions import product, total, totals
 from irgspp.core.kernels.cpu.simd import (
     bits,
-    bounded_exp,
-    exp,
     first_bit,
     floor,
     load,
-    log2,
+    load_uint16,
     maximum,
     minimum,
     ramp,
@@ -21,7 +19,9 @@ from irgspp.core.kernels.cpu.simd import (
     splat,
     sqrt,
     store,
+    store_uint16,
 )
+from irgspp.core.kernels.cpu.simd_math import bounded_exp, exp, log2
 
 
 @kernel
@@ -95,6 +95,12 @@ def first_below(values, limit):
 @kernel
 def shifted(values, at, out):
     store(out, at, load(values, at))
+
+
+@kernel
+def counted(values, whole, out):
+    store_uint16(whole, 3, load(values, 0))
+    store(out, 0, load_uint16(whole, 3))
 
 
 @pytest.fixture
@@ -193,3 +199,11 @@ def test_load_and_store_need_no_alignment_and_touch_nothing_else():
         out = np.full(32, -1, np.float32)
         shifted(values, at, out)
         assert np.array_equal(out, np.where((values >= at) & (values < at + 8), values, -1))
+
+
+def test_whole_numbers_are_kept_rounded_down():
+    values = np.float32([0.0, 0.9, 1.0, 255.5, 256.0, 32768.3, 40000.9, 65535.0])
+    whole, out = np.full(12, 7, np.uint16), np.empty(8, np.float32)
+    counted(values, whole, out)
+    assert whole.tolist() == [7, 7, 7, 0, 0, 1, 255, 256, 32768, 40000, 65535, 7]
+    assert np.array_equal(out, whole[3:11])
