@@ -177,9 +177,18 @@ def publish(compiled):
             os.replace(part, target)
 
 
-@pytest.mark.long(seconds=120)
+@pytest.mark.long(seconds=40)
 def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
-    """Kernels are compiled in the first, read from the cache in the second; on stereo's points, with half as many views as the demo's."""
+    """A third of the kernels are compiled in the first, all are read from the cache in the second; on stereo's points.
+
+    All kernels are compiled in the faults' case "read-only install folder".
+    """
+    own = Path(os.environ["NUMBA_CACHE_DIR"])
+    cache = shutil.copytree(own, tmp_path / "cache" / own.name)
+    for index in sorted(cache.rglob("*.nbi"))[::3]:
+        for code in (index, *index.parent.glob(f"{index.stem}.*.nbc")):
+            code.unlink()
+    kept = len(list(cache.rglob("*.nbi")))
     environment = {**os.environ, "IRGSPP_CACHE": str(tmp_path / "cache")}
     environment.pop("NUMBA_CACHE_DIR", None)  # this process has set it
     for name in ("first", "second"):
@@ -188,7 +197,7 @@ def test_first_run_on_a_machine_is_like_the_later_ones(tmp_path):
         command += [word for text in (*SHORT, *FEW) for word in ("--set", text)]
         subprocess.run(command, env=environment, stderr=subprocess.DEVNULL, check=True)
         publish(tmp_path / "cache")
-    assert list((tmp_path / "cache").rglob("*.nbc"))
+    assert len(list(cache.rglob("*.nbi"))) > kept
     assert_same(tmp_path / "second", tmp_path / "first")
 
 

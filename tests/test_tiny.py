@@ -13,6 +13,7 @@ from irgspp.core.pipeline import DEMO_DATA, reconstruct
 from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from shared_folder import made_once, shared_folder
 
 TINY = (
     "materials=low-gloss",  # the trial fits take longer than the rest; the demo below runs them
@@ -37,8 +38,9 @@ TEST_VIEWS = [f"r_{i:03d}" for i in range(6)]
 
 @pytest.fixture(scope="module")
 def run(tmp_path_factory):
-    """A finished job on the demo dataset."""
-    return reconstruct(DEMO_DATA, tmp_path_factory.mktemp("demo") / "run", with_overrides(preset("draft"), TINY))
+    """A finished job on the demo dataset, for all processes of the tests."""
+    settings = with_overrides(preset("draft"), TINY)
+    return made_once(shared_folder(tmp_path_factory) / "demo", lambda folder: reconstruct(DEMO_DATA, folder / "run", settings)) / "run"
 
 
 def test_job_leaves_a_complete_run_folder(run):
@@ -125,6 +127,8 @@ def test_demo_from_the_command_line(tmp_path, capsys):
         *TINY,
         "materials=auto",
         "first.stereo=off",
+        "second.points=500",
+        "second.rows=4",
         "second.iterations=4",
         "second.pool=1000",
         "second.radiance_iterations=4",

@@ -87,7 +87,11 @@ def decimals(measured: Measured) -> None:
         measured.note("0,5 in the job's process")
 
 
-@case("read-only install folder", "A job from a folder that can't be written to, with kernels that are not compiled yet.", quick=False)
+@case(
+    "read-only install folder",
+    "A job from a folder that can't be written to, with kernels that are not compiled yet, and another with these kernels: the same bits.",
+    quick=False,
+)
 def installed(measured: Measured) -> None:
     """Check a read-only install folder."""
     if not can_mount():
@@ -105,6 +109,10 @@ def installed(measured: Measured) -> None:
             done = subprocess.run(command, capture_output=True, text=True, check=False, env=environment, cwd="/")
             measured.holds(f"ends well: {done.stderr[-300:]}", done.returncode == 0)
             measured.holds("run.json says done", run.is_dir() and read_run(run)["status"] == "done")
+            second = folder / "second"  # by the kernels that the first has compiled
+            done = subprocess.run([str(second) if word == str(run) else word for word in command], check=False, env=environment, cwd="/")
+            measured.holds("the second ends well", done.returncode == 0)
+            measured.holds("the same bits", not differing_files(second, run))
             measured.note(f"{len(list((folder / 'cache').rglob('*.nbc')))} kernels compiled elsewhere")
 
 

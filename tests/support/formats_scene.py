@@ -6,13 +6,12 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 import numpy as np
 from irgspp.core.io.exr import rgb_channels, write_exr
-from irgspp.core.io.file_lock import FileLock
 from irgspp.core.shading.environment_lookup import texel_directions
+from shared_folder import made_once
 
 ROOT = Path(__file__).resolve().parents[2]
 BALL, RADIUS = np.array([0.15, -0.08, 0.1]), 0.75
@@ -54,19 +53,7 @@ def axes_light(name: str, height: int = 64) -> np.ndarray:
 
 def render_scene(folder: Path) -> Path:
     """Return the scene as a dataset of scripts/render_dataset.py with 16 training and 3 test views; the first process renders it."""
-    folder.mkdir(parents=True, exist_ok=True)
-    done, lock = folder / "done", None
-    while not done.exists() and lock is None:
-        try:
-            lock = FileLock(folder / "lock")
-        except BlockingIOError:
-            time.sleep(0.2)
-    if lock is not None:
-        if not done.exists():
-            _render(folder)
-            done.touch()
-        lock.release()
-    return folder / "scene"
+    return made_once(folder, _render) / "scene"
 
 
 def _render(folder: Path) -> None:
