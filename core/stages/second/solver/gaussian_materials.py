@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Assignment of materials to Gaussians: roughness and metallic from the solver's points, albedo fitted under the solved light.
+"""Assignment of materials to Gaussians: roughness from the solver's points, metallic and albedo fitted under the solved light.
 
 The albedo of a dielectric has a prior, as during the solution (`likely_albedo`); that of a metal is a median over its neighbourhood.
 """
@@ -7,7 +7,6 @@ The albedo of a dielectric has a prior, as during the solution (`likely_albedo`)
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import torch
@@ -19,35 +18,19 @@ from ....scene.reconstruction import Reconstruction
 from ....scene.surface import Surface
 from ....shading.specular_albedo import diffuse_fraction
 from ...common.nearest_neighbours import nearest_neighbours
-from ..metal import METALLIC_THRESHOLD
 from .albedo_prior import likely_albedo
 from .light_material_solver import LightMaterialSolver
+from .metal_borders import AlbedoFit, NearbyPoints, drawn_metal, nearby_points
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, least_squares_albedo, robust_error, view_terms
 from .sharp_samples import sharp_samples
 from .transfer_tracing import trace_radiance_transfer
 
-MAJORITY_POINTS = 8  # solver points that decide by their majority whether a Gaussian is metal
-ROUGHNESS_POINTS = 16  # solver points of which those that are metal, or are not, as the Gaussian give their mean roughness
 BATCH = 4000  # Gaussians traced at a time
 REWEIGHTING_PASSES = 7  # passes of iteratively reweighted least squares after a first one with equal weights
 MEDIAN_NEIGHBOURS = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
 LOGIT_MARGIN = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
-
-
-class AlbedoFit(NamedTuple):
-    """Albedos of least error of P points.
-
-    Attributes:
-        albedo: (P, 3); it may lie outside 0..1.
-        precision: (P, 3) curvature of half the squared error.
-        error: (P,) robust error of a view, on average.
-    """
-
-    albedo: torch.Tensor
-    precision: torch.Tensor
-    error: torch.Tensor
 
 
 def assign_materials(
@@ -80,9 +63,31 @@ def assign_materials(
     g = reconstruction.gaussians
     position = g.position.T.contiguous().cpu().numpy()
     samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
-    roughness, metallic = nearest_materials(solver.samples.position, solver.roughness, solver.metallic, samples.position)
-    count, known = len(samples.position), solver.transfer
-    fits = []
+    nearby = nearby_points(solver.samples.position, solver.roughness, solver.metallic, samples.position)
+    dielectric, conductor = _fits(samples, nearby, tracer, solver, seed, on_fraction)
+    metal = drawn_metal(samples.position, samples.sums(samples.colour) / samples.lengths[:, None], nearby, dielectric, conductor)
+    albedo, known_metal = torch.where(metal[:, None], conductor.albedo, dielectric.albedo), solver.metallic > 0
+    if not bool(metal.all() | known_metal.all()):
+        found = AlbedoFit(*(values[~metal] for values in dielectric))
+        albedo[~metal] = likely_albedo(*found, solver.albedo[~known_metal], seed)
+    albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
+    roughness = torch.where(metal, nearby.roughness[1], nearby.roughness[0])
+    materials = torch.cat([albedo, roughness[:, None], metal[:, None].float()], 1).clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)
+    return materials[nearest_neighbours(samples.position, g.position.T, 1)[:, 0]].T.contiguous()
+
+
+def _fits(
+    samples: MultiViewSamples,
+    nearby: NearbyPoints,
+    tracer: SecondaryTracer,
+    solver: LightMaterialSolver,
+    seed: int,
+    on_fraction: Callable[[float], object],
+) -> tuple[AlbedoFit, AlbedoFit]:
+    """Fit the albedo of surfels as dielectrics, unless all are metal, and as metal where that is nearby; zeros elsewhere."""
+    count, known, colour = len(samples.position), solver.transfer, samples.colour
+    tried = (torch.full_like(nearby.share, not bool((nearby.share >= 1).all()), dtype=torch.bool), nearby.share > 0)
+    fits = [AlbedoFit(colour.new_zeros(count, 3), colour.new_zeros(count, 3), colour.new_zeros(count)) for _ in tried]
     for begin in range(0, count, BATCH):
         part = slice(begin, begin + BATCH)
         batch = samples.part(begin, min(begin + BATCH, count))
@@ -95,39 +100,16 @@ def assign_materials(
             indirect=known.has_indirect,
             rotations=known.rotations,
         )
-        fits.append(fitted_albedo(batch, transfer, solver.light, roughness[part], metallic[part]))
+        for metallic, (fit, kept) in enumerate(zip(fits, tried, strict=True)):
+            rows = begin + torch.nonzero(kept[part])[:, 0]
+            if not len(rows):
+                continue
+            chosen = (batch, transfer) if len(rows) == len(batch.position) else (batch.subset(kept[part]), transfer.subset(kept[part]))
+            found = fitted_albedo(*chosen, solver.light, nearby.roughness[metallic, rows], torch.full_like(fit.error[rows], metallic))
+            for values, new in zip(fit, found, strict=True):
+                values[rows] = new
         on_fraction(min(1.0, (begin + BATCH) / count))
-    fit = AlbedoFit(*map(torch.cat, zip(*fits, strict=True)))
-    albedo, metal, known_metal = fit.albedo, metallic > 0, solver.metallic > 0
-    if not bool(metal.all() | known_metal.all()):
-        dielectric = AlbedoFit(*(values[~metal] for values in fit))
-        albedo[~metal] = likely_albedo(*dielectric, solver.albedo[~known_metal], seed)
-    albedo[metal] = neighbourhood_medians(samples.position[metal], albedo[metal])
-    materials = torch.cat([albedo, roughness[:, None], metallic[:, None]], 1).clamp(LOGIT_MARGIN, 1 - LOGIT_MARGIN)
-    return materials[nearest_neighbours(samples.position, g.position.T, 1)[:, 0]].T.contiguous()
-
-
-def nearest_materials(
-    points: torch.Tensor, roughness: torch.Tensor, metallic: torch.Tensor, position: torch.Tensor
-) -> tuple[torch.Tensor, torch.Tensor]:
-    """Take metallic from the majority of the nearest points, and roughness from those that are metal, or are not, too.
-
-    MAJORITY_POINTS count for metallic, ROUGHNESS_POINTS for roughness. A mean over both sides of an edge is the roughness of neither.
-
-    Args:
-        points: (P, 3) world.
-        roughness: (P,) of the points.
-        metallic: (P,) of the points, 0 or 1.
-        position: (N, 3) world.
-
-    Returns:
-        Roughness (N,), and metallic (N,), 0 or 1.
-    """
-    around = nearest_neighbours(points, position, ROUGHNESS_POINTS)
-    metal = metallic[around] > METALLIC_THRESHOLD
-    is_metal = metal[:, :MAJORITY_POINTS].float().mean(1) > METALLIC_THRESHOLD
-    alike = (metal == is_metal[:, None]).float()
-    return (alike * roughness[around]).sum(1) / alike.sum(1), is_metal.float()
+    return fits[0], fits[1]
 
 
 def surface_normals(surface: Surface, position: np.ndarray) -> np.ndarray:

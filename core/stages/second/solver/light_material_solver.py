@@ -271,8 +271,8 @@ class LightMaterialSolver:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
         without = self._adapted(torch.zeros_like(self.candidates))
         metal, errors = self._adapted(self.candidates)
-        supported = self._search.supported(self.candidates, without[1] - errors)
-        regions = sharp_regions(self._search.regions(supported), metal.roughness)
+        gain = without[1] - errors
+        regions = sharp_regions(self._search.regions(self._search.supported(self.candidates, gain)), metal.roughness, gain)
         best, least, confirmed = confirm_metal(regions, without, self._adapted)
         self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight

@@ -14,6 +14,7 @@ from ..metal import DARKEST, TINT_WIDTH, tints
 
 # Added to the mean value of the kernel, so that no tint is impossible; .02 to .04 give about the same.
 FLOOR = 0.04
+MAX_MEMBERS, BATCH = 2500, 4096  # members with which points are compared, chosen evenly among more, and points at a time
 
 
 def colour_evidence(as_metal: torch.Tensor, as_dielectric: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
@@ -34,6 +35,14 @@ def colour_evidence(as_metal: torch.Tensor, as_dielectric: torch.Tensor, metal: 
 
 def _density(albedo: torch.Tensor, members: torch.Tensor) -> torch.Tensor:
     """Return the mean (P,) in 0..1 of a kernel of the differences between a point's tint and those of other points, the `members`."""
-    tint = tints(albedo.clamp_min(DARKEST).log())
-    kernel = torch.exp(-0.5 * (torch.cdist(tint, tint) / TINT_WIDTH) ** 2).fill_diagonal_(0)
-    return (kernel * members).sum(1) / (members.sum() - members.to(kernel)).clamp_min(1)
+    tint, chosen = tints(albedo.clamp_min(DARKEST).log()), torch.nonzero(members)[:, 0]
+    chosen = chosen[:: max(1, -(-len(chosen) // MAX_MEMBERS))]
+    order = torch.arange(len(tint), device=tint.device)
+    means = [_kernel_mean(tint[rows], tint[chosen], rows[:, None] == chosen) for rows in order.split(BATCH)]
+    return torch.cat(means)
+
+
+def _kernel_mean(tint: torch.Tensor, members: torch.Tensor, same: torch.Tensor) -> torch.Tensor:
+    """Return the mean (B,) of the kernel between tints (B, 2) and members (M, 2), without those that are the `same` point (B, M)."""
+    kernel = torch.exp(-0.5 * (torch.cdist(tint, members) / TINT_WIDTH) ** 2).masked_fill(same, 0)
+    return kernel.sum(1) / (len(members) - same.sum(1)).clamp_min(1)

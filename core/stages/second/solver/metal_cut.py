@@ -22,7 +22,7 @@ METAL_PRIOR, NEIGHBOUR_COUPLING = 0.06, 0.75
 # weights of .2 to .3 give about the same. By searched normals alone metal leaked; without them, more of it was missed, which costs more.
 SEARCHED_NORMALS_PRIOR, COLOUR_WEIGHT, COLOUR_PASSES = 0.1, 0.3, 2
 MAX_RINGS = 4  # rings of neighbours around metal that may become metal
-MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about 2 NEIGHBOUR_COUPLING, so that more decides by itself
+MAX_EVIDENCE = 100.0  # of the evidence; the links of a point sum to about twice the coupling, so that more decides by itself
 CAPACITY_SCALE = 10_000  # capacities are integers, in this fraction of the evidence's unit
 
 
@@ -54,9 +54,24 @@ def cut_metal(
         (P,) bool: metal, at most MAX_RINGS rings of neighbours beyond what was metal.
     """
     near = within_rings(metal, neighbours)
-    value = np.where(near.cpu(), evidence.cpu().double() + prior, -MAX_EVIDENCE).clip(-MAX_EVIDENCE, MAX_EVIDENCE)
-    link = 0.5 * NEIGHBOUR_COUPLING * similarity.cpu().double().numpy()
-    return torch.from_numpy(_source_side(_graph(value, neighbours.cpu().numpy(), link))).to(metal.device)
+    return least_cut(torch.where(near, evidence + prior, -MAX_EVIDENCE), neighbours, similarity, NEIGHBOUR_COUPLING)
+
+
+def least_cut(evidence: torch.Tensor, neighbours: torch.Tensor, similarity: torch.Tensor, coupling: float) -> torch.Tensor:
+    """Choose points so that their evidence, less the similarity across their border times half the coupling, is greatest.
+
+    Args:
+        evidence: (P,) that a point is to be chosen; MAX_EVIDENCE decides by itself.
+        neighbours: (P, N) indices of points.
+        similarity: (P, N) weights of these, which sum to 1.
+        coupling: weight of a point's links to its neighbours.
+
+    Returns:
+        (P,) bool.
+    """
+    value = evidence.cpu().double().numpy().clip(-MAX_EVIDENCE, MAX_EVIDENCE)
+    link = 0.5 * coupling * similarity.cpu().double().numpy()
+    return torch.from_numpy(_source_side(_graph(value, neighbours.cpu().numpy(), link))).to(evidence.device)
 
 
 def _graph(value: np.ndarray, neighbours: np.ndarray, link: np.ndarray) -> csr_matrix:

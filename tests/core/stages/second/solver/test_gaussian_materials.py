@@ -22,7 +22,6 @@ from irgspp.core.stages.second.solver.gaussian_materials import (
     LOGIT_MARGIN,
     assign_materials,
     fitted_albedo,
-    nearest_materials,
     surface_normals,
 )
 from irgspp.core.stages.second.solver.light_texels import LightTexels
@@ -120,36 +119,6 @@ def test_materials_are_found_and_hidden_surfels_are_like_their_neighbours(splat_
     above = torch.arange(0, COUNT, COUNT // INSIDE)[:INSIDE]  # the visible surfels right above the hidden ones
     same = (result[:, above] == result[:, COUNT:]).all(0)
     assert same.float().mean() > 0.9  # the others are nearer to another one
-
-
-def on_grid(step):
-    """Points (P, 3) of a plane, 20 on each side, or further ones within it."""
-    x = torch.arange(0.0, 20.0 - step / 2, step)
-    return torch.stack([*torch.meshgrid(x, x, indexing="ij"), torch.zeros(len(x), len(x))], -1).view(-1, 3)
-
-
-def test_roughness_does_not_mix_across_an_edge_of_metal():
-    points = on_grid(1.0)
-    metallic = (points[:, 0] > 9.5).float()
-    roughness, metal = nearest_materials(points, torch.where(metallic > 0, 0.2, 0.8), metallic, on_grid(0.5) + 0.1)
-    torch.testing.assert_close(roughness, torch.where(metal > 0, 0.2, 0.8))
-    at = on_grid(0.5)[:, 0] + 0.1
-    assert (metal[at > 10.0] == 1).all() and (metal[at < 9.0] == 0).all()
-
-
-def test_a_single_point_does_not_make_metal():
-    points = on_grid(1.0)
-    metallic = torch.zeros(len(points))
-    metallic[210] = 1.0
-    roughness, metal = nearest_materials(points, torch.where(metallic > 0, 0.2, 0.8), metallic, points)
-    assert metal.sum() == 0
-    torch.testing.assert_close(roughness, torch.full((len(points),), 0.8))
-
-
-def test_few_points_suffice():
-    roughness, metal = nearest_materials(torch.eye(3), torch.tensor([0.2, 0.4, 0.9]), torch.tensor([1.0, 1.0, 0.0]), torch.rand(5, 3))
-    torch.testing.assert_close(roughness, torch.full((5,), 0.3))
-    assert (metal == 1).all()
 
 
 def test_same_seed_same_bits(splat_sphere, surface, views, found):
