@@ -34,6 +34,7 @@ TINY = (
 LEAST = {"radiance_psnr": 26, "nvs_psnr": 26, "albedo_psnr": 21.5, "relight_psnr": 24.5, "environment_psnr": 15}
 MOST = {"roughness_mae": 0.23, "metallic_mae": 0.05, "normal_mae": 14, "depth_mae": 0.05, "mesh_chamfer": 0.018, "mesh_stray": 0.02}
 TEST_VIEWS = [f"r_{i:03d}" for i in range(6)]
+pytestmark = pytest.mark.long(seconds=31)  # all near the beginning, in one process: at the end another one would wait for the run
 
 
 @pytest.fixture(scope="module")

@@ -45,7 +45,7 @@ def run_job(job: Job, batch: Path, threads: int | None = None) -> State:
                 return _ended(folder, replace(state, state="cancelled"))
             began = time.monotonic()
             status, message = _run(step, job, folder, batch / CANCEL, threads)
-            state = replace(state, seconds=round(state.seconds + time.monotonic() - began, 1))
+            state = replace(state, seconds=round(state.seconds + time.monotonic() - began, 3))
             if status:
                 return _ended(
                     folder, replace(state, state="cancelled" if status == 130 else "failed", error="" if status == 130 else message)
