@@ -18,11 +18,11 @@ def shared_folder(factory: pytest.TempPathFactory) -> Path:
 
 
 def made_once(folder: Path, make: Callable[[Path], object]) -> Path:
-    """Return a folder that the first process fills, and that the others wait for.
+    """Return a folder that the first process fills, and that the others wait for; where it fails, the next one tries.
 
     Args:
         folder: it lies in the folder that all processes share.
-        make: called with the folder, which exists and is empty but for the lock.
+        make: called with the folder, which exists.
     """
     folder.mkdir(parents=True, exist_ok=True)
     done, lock = folder / "done", None
@@ -31,9 +31,12 @@ def made_once(folder: Path, make: Callable[[Path], object]) -> Path:
             lock = FileLock(folder / "lock")
         except BlockingIOError:
             time.sleep(0.2)
-    if lock is not None:
+    if lock is None:
+        return folder
+    try:
         if not done.exists():
             make(folder)
             done.touch()
+    finally:
         lock.release()
     return folder

@@ -16,7 +16,7 @@ from .jit import helper, kernel
 from .simd import bits, load, load_uint16, maximum, minimum, splat, store, store_uint16
 from .simd_math import exp
 
-WHOLE, HALF = np.float32(65000), np.float32(0.5)  # weights are kept as uint16: half the memory to read, and as exact as they need to be
+WHOLE, HALF = np.float32(65000), np.float32(0.5)  # weights are kept as uint16 in units of 1 / WHOLE: half the memory to read of float32
 
 
 @helper

@@ -69,10 +69,25 @@ _operator(operator.and_, b8, lambda b, x, y: b.and_(x, y), (b8, None))
 _operator(operator.or_, b8, lambda b, x, y: b.or_(x, y), (b8, None))
 
 
-def _pointer(context, builder, array_type, array, index, vector=FLOATS):
-    """Return the address of element `index` as a pointer to a vector."""
+def _pointer(context, builder, array_type, array, index, vector):
+    """Return the address of element `index` as a pointer to a vector, and the size of an element in bytes."""
     data = context.make_array(array_type)(context, builder, array).data
-    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer())
+    return builder.bitcast(builder.gep(data, [index]), vector.as_pointer()), array_type.dtype.bitwidth // 8
+
+
+def _read(context, builder, sig, args, vector):
+    """Read a vector from the elements of an array that begin at an index, the two arguments."""
+    pointer, size = _pointer(context, builder, sig.args[0], *args, vector=vector)
+    value = builder.load(pointer)
+    value.align = size
+    return value
+
+
+def _write(context, builder, sig, args, value):
+    """Write a vector to the elements of an array that begin at an index, the first two arguments."""
+    pointer, size = _pointer(context, builder, sig.args[0], *args[:2], vector=value.type)
+    builder.store(value, pointer).align = size
+    return context.get_dummy_value()
 
 
 @intrinsic
@@ -84,13 +99,7 @@ def load(typing, array, index):
         array: (N,) contiguous float32 array.
         index: first element.
     """
-
-    def emit(context, builder, sig, args):
-        value = builder.load(_pointer(context, builder, sig.args[0], *args))
-        value.align = 4
-        return value
-
-    return f32x8(array, types.intp), emit
+    return f32x8(array, types.intp), lambda context, builder, sig, args: _read(context, builder, sig, args, FLOATS)
 
 
 @intrinsic
@@ -103,13 +112,7 @@ def store(typing, array, index, value):
         index: first element.
         value: vector to write.
     """
-
-    def emit(context, builder, sig, args):
-        instruction = builder.store(args[2], _pointer(context, builder, sig.args[0], *args[:2]))
-        instruction.align = 4
-        return context.get_dummy_value()
-
-    return types.void(array, types.intp, f32x8), emit
+    return types.void(array, types.intp, f32x8), lambda context, builder, sig, args: _write(context, builder, sig, args, args[2])
 
 
 @intrinsic
@@ -123,9 +126,7 @@ def load_uint16(typing, array, index):
     """
 
     def emit(context, builder, sig, args):
-        whole = builder.load(_pointer(context, builder, sig.args[0], *args, vector=_SHORTS))
-        whole.align = 2
-        return builder.sitofp(builder.zext(whole, INTS), FLOATS)
+        return builder.sitofp(builder.zext(_read(context, builder, sig, args, _SHORTS), INTS), FLOATS)
 
     return f32x8(array, types.intp), emit
 
@@ -142,10 +143,7 @@ def store_uint16(typing, array, index, value):
     """
 
     def emit(context, builder, sig, args):
-        whole = builder.trunc(builder.fptosi(args[2], INTS), _SHORTS)
-        instruction = builder.store(whole, _pointer(context, builder, sig.args[0], *args[:2], vector=_SHORTS))
-        instruction.align = 2
-        return context.get_dummy_value()
+        return _write(context, builder, sig, args, builder.trunc(builder.fptosi(args[2], INTS), _SHORTS))
 
     return types.void(array, types.intp, f32x8), emit
 

@@ -29,7 +29,7 @@ from .transfer_tracing import trace_radiance_transfer
 
 BATCH = 4000  # Gaussians traced at a time
 REWEIGHTING_PASSES = 7  # passes of iteratively reweighted least squares after a first one with equal weights
-MEDIAN_NEIGHBOURS = 64  # nearest Gaussians whose median replaces a metal's albedo, and a metallic that is binarised
+MEDIAN_NEIGHBOURS = 64  # nearest Gaussians whose median replaces a metal's albedo
 LOGIT_MARGIN = 2e-3  # materials are kept this far inside 0..1, so that their logits are finite
 
 
