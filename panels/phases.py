@@ -7,7 +7,7 @@ from ..irgspp_addon.translations import translated
 
 STEPS = (  # of a reconstruction, in order: text, and the phases of the engine that belong to it
     ("Reading photographs and masks", ("read images", "quick fit")),
-    ("Choosing the material class and the start", ("materials", "stereo", "start", "metal", "spheres", "edges")),
+    ("Choosing the material class and the start", ("materials", "stereo", "start", "gaps", "metal", "spheres", "edges")),
     ("Fitting shape and radiance", ("first stage",)),
     ("Extracting the surface", ("fuse",)),
     ("Solving for light and materials", ("trace", "second stage", "normals", "turn surfels", "paint", "refine", "radiance", "joint")),
@@ -34,6 +34,7 @@ SHARES = {
     "start": 2,
     "metal": 2,
     "spheres": 1,
+    "gaps": 2,
     "edges": 3,
     "first stage": 47,
     "fuse": 4,

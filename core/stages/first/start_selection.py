@@ -16,6 +16,7 @@ from .start_trials import StartTrials
 from .stereo_initialization import StereoStart, from_stereo
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
+MIN_OPENED = 0.02  # share of the surfels that open gaps leave out of the hull, below which they make no difference
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
 
@@ -52,9 +53,33 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
         progress.phase("start", settings.first.trial_iterations)
         score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, may_give_up=True)
     best = max(found, key=lambda one: score[one.name]) if score else found[-1]
+    if choice != "on" and settings.first.start_trials and best.opened is not None:
+        best = _opened_where_better(best, starts, score, trials, progress)
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))
     return starts[best.name] if on else hull
+
+
+def _opened_where_better(
+    best: StereoStart, starts: dict[str, Start], score: dict[str, float], trials: StartTrials, progress: Progress
+) -> StereoStart:
+    """Return a start with its gaps open, where a trial fit from it predicts held-back views better; otherwise the start itself.
+
+    Args:
+        best: the start.
+        starts: starts by name; the tried one is added.
+        score: PSNR of their trial fits in dB, by name; those of the two are added.
+        trials: trial fits of the object.
+        progress: receives steps, and may cancel.
+    """
+    assert best.opened is not None
+    opened = best.opened()
+    if opened.share - best.share < MIN_OPENED:
+        return best
+    starts[opened.name] = _start(opened, trials, starts[best.name].gaussians.position.device)
+    progress.phase("gaps", trials.settings.first.trial_iterations)
+    score |= trials.compare({name: starts[name] for name in (best.name, opened.name)}, progress, may_give_up=True)
+    return opened if score[opened.name] > score[best.name] else best
 
 
 def _start(found: StereoStart, trials: StartTrials, device: torch.device) -> Start:
