@@ -44,7 +44,7 @@ def test_held_back_views_decide_between_two_starts(scene, psnr, given, size):
     assert all(f"{name} {value:.2f} dB" in evidence for name, value in given.items())
 
 
-@pytest.mark.parametrize(("gain", "more", "size"), [(0.1, 0.1, 3), (-0.1, 0.1, 2), (0.1, 0.01, 2)])
+@pytest.mark.parametrize(("gain", "more", "size"), [(0.3, 0.1, 3), (0.1, 0.1, 2), (0.3, 0.01, 2)])
 def test_gaps_of_the_better_start_are_open_where_that_differs_and_held_back_views_say_so(scene, psnr, monkeypatch, gain, more, size):
     opened = StereoStart("open", scene[1].select(torch.arange(3)), 0.5 + more, [])
     closed = StereoStart("closed", scene[1].select(torch.arange(2)), 0.5, [], lambda: opened)
