@@ -92,7 +92,7 @@ def find_object_region(
     """Find the cluster of points above the plane that the cameras look at.
 
     Points above the plane are joined in voxels and labelled by connectivity. The object is the cluster that is largest and most central in
-    the images; parts that hang free right beside it belong to it. If the user gave a sphere, everything above the plane in it does.
+    the images; parts that hang free right beside it belong to it, and what lies under it where it does not reach the plane. If the user gave a sphere, everything above the plane in it does.
 
     Args:
         dense: dense points.
@@ -115,7 +115,7 @@ def find_object_region(
     clusters = _clusters(occupied, corner, step, plane)
     if clusters is None:
         return None
-    own = _looked_at(clusters, corner, step, cameras) if sphere is None else _inside(clusters, corner, step, sphere)
+    own = _looked_at(clusters, corner, step, plane, cameras) if sphere is None else _inside(clusters, corner, step, sphere)
     if own is None:
         return None
     label = np.zeros(shape, np.uint8)
@@ -173,22 +173,36 @@ def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: Supp
     return _Clusters(cells, own, mean, size[keep], floor)
 
 
-def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, cameras: Sequence[Camera]) -> np.ndarray:
-    """Return (C,) True for the cluster that is largest and most central in the images, and for parts that hang free beside it."""
+def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, plane: SupportPlane | None, cameras: Sequence[Camera]) -> np.ndarray:
+    """Return (C,) True for the cluster that is largest and most central in the images, and for its parts.
+
+    Parts hang free beside it, or lie under it where it does not reach the plane itself: something must carry it, and stereo sees only pieces
+    of a foot in the dark.
+    """
     central = np.mean([_centrality(camera, clusters.centre) for camera in cameras], 0)
     first = int(np.argmax(central**2 * np.sqrt(clusters.size)))
     own = np.zeros(len(clusters.size), bool)
     own[first] = True
-    body = corner + (clusters.cells[clusters.label == first] + 0.5) * step
-    bound = bounding_sphere(body, step)
+    bound = bounding_sphere(corner + (clusters.cells[clusters.label == first] + 0.5) * step, step)
     standing = clusters.floor < STANDING_VOXELS * step
-    own |= (_distances(clusters, first, step) < max(MAX_GAP_RADII * bound.radius, 3 * step)) & ~standing
+    if plane is not None and not standing[first]:
+        own |= _beneath(clusters, first, corner, step, plane)
+    own |= (_distances(clusters, own, step) < max(MAX_GAP_RADII * bound.radius, 3 * step)) & ~standing
     return own
 
 
-def _distances(clusters: _Clusters, first: int, step: float) -> np.ndarray:
-    """Return (C,) least distance of each cluster to one of them, world units."""
-    distance = KDTree(clusters.cells[clusters.label == first]).query(clusters.cells)[0] * step
+def _beneath(clusters: _Clusters, first: int, corner: np.ndarray, step: float, plane: SupportPlane) -> np.ndarray:
+    """Return (C,) True for the clusters at least half of which lies between one of them and the plane."""
+    centres = corner + (clusters.cells + 0.5) * step
+    flat, body = centres @ plane.axes().T, clusters.label == first
+    over = KDTree(flat[body]).query(flat)[0] <= step
+    lower = clusters.floor < clusters.floor[first]
+    return lower & (np.bincount(clusters.label, over) >= 0.5 * clusters.size)
+
+
+def _distances(clusters: _Clusters, own: np.ndarray, step: float) -> np.ndarray:
+    """Return (C,) least distance of each cluster to some of them, (C,) bool, world units."""
+    distance = KDTree(clusters.cells[own[clusters.label]]).query(clusters.cells)[0] * step
     least = np.full(len(clusters.size), np.inf)
     np.minimum.at(least, clusters.label, distance)
     return least

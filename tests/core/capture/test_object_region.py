@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Region of the object that the cameras look at, on a table with other things."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from irgspp.core.capture.dense_points import find_dense_points
@@ -27,6 +29,18 @@ def test_region_is_the_box_in_the_middle(dense, plane, table_scene):
     assert 0.6 < region.bound.radius < 0.85
     on_box, on_table, on_other = np.array([[0.32, 0, 0.6]]), np.array([[0.7, 0, 0.0]]), np.array([[1.15, 0.35, 0.2]])
     assert [int(region.labels(place)[0]) for place in (on_box, on_table, on_other)] == [1, 0, 2]
+
+
+def test_a_foot_that_stereo_sees_apart_belongs_to_what_it_carries(dense, plane, table_scene):
+    """Between foot and body is a dark gap; the other thing stands beside the body, not under it."""
+    x, y, z = dense.points.position.T
+    dark = (np.hypot(x, y) < 0.7) & (z > 0.2) & (z < 0.5)
+    apart = replace(dense, points=dense.points.select(~dark))
+    region = find_object_region(apart, plane, [view.camera for view in table_scene.views])
+    assert region is not None
+    body, foot, gap, other = (np.array([place]) for place in ((0.32, 0, 0.7), (0.32, 0, 0.15), (0.32, 0, 0.35), (1.15, 0.35, 0.2)))
+    assert [int(region.labels(place)[0]) for place in (body, foot, gap, other)] == [1, 1, 0, 2]
+    assert len(region.clutter) == 1
 
 
 def test_other_things_are_reported(dense, plane, table_scene):
