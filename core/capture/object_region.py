@@ -92,7 +92,8 @@ def find_object_region(
     """Find the cluster of points above the plane that the cameras look at.
 
     Points above the plane are joined in voxels and labelled by connectivity. The object is the cluster that is largest and most central in
-    the images; parts that hang free right beside it belong to it, and what lies under it where it does not reach the plane. If the user gave a sphere, everything above the plane in it does.
+    the images; parts that hang free right beside it belong to it, and what lies under it where it does not reach the plane. If the user
+    gave a sphere, everything above the plane in it does.
 
     Args:
         dense: dense points.
@@ -176,8 +177,8 @@ def _clusters(occupied: np.ndarray, corner: np.ndarray, step: float, plane: Supp
 def _looked_at(clusters: _Clusters, corner: np.ndarray, step: float, plane: SupportPlane | None, cameras: Sequence[Camera]) -> np.ndarray:
     """Return (C,) True for the cluster that is largest and most central in the images, and for its parts.
 
-    Parts hang free beside it, or lie under it where it does not reach the plane itself: something must carry it, and stereo sees only pieces
-    of a foot in the dark.
+    Parts hang free beside it, or lie under it where it does not reach the plane itself: something must carry it, and of a foot in the dark
+    stereo sees only pieces.
     """
     central = np.mean([_centrality(camera, clusters.centre) for camera in cameras], 0)
     first = int(np.argmax(central**2 * np.sqrt(clusters.size)))
