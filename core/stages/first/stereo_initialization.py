@@ -26,7 +26,7 @@ from .initialization import FAINT_OPACITY, OPACITY, SURFACE_SPREAD, observed_col
 from .visual_hull import VisualHull, visual_hull
 
 MIN_SUPPORT_MASKED, MIN_SUPPORT_UNMASKED = 3, 2  # views that must agree with a point: captures overlap less than turntables
-MIN_SUPPORT_IN_GAPS = 2  # with masks, of points in gaps between the others: on a pine cone three of four are right, of the hull's half
+MIN_SUPPORT_IN_GAPS = 2  # with masks, of points in gaps: 80 % of them are right on a pine cone, 63 % in a plain cup, of the hull's 60 %
 MAX_STEREO_SHARE = 0.65  # without masks: largest share of the surfels that lie on stereo's points
 FILLER_SHARE = 0.1  # without masks: share of the surfels that are random points, for what stereo did not see
 MIN_POINT_RATIO = 0.08  # stereo's points over the budget of surfels below which there is no stereo start
