@@ -71,8 +71,9 @@ def reference_seconds(settings: Settings, data: Dataset) -> float:
     trials = 2 * first.trial_iterations * TRIAL_STEP if settings.materials == "auto" else 0.0
     step, tries_starts = step_seconds(settings, data), first.start_trials or not data.has_alpha
     trials += 2 * first.trial_iterations * min(step, START_STEP) if first.stereo == "auto" and tries_starts else 0.0
-    # Regions of metal are compared with the start, whose fit is made, and edges are open and closed in shorter fits.
-    masked_trials = 1.2 * (first.open_edges is None) + (first.metal_regions == "auto" and settings.materials != "low-gloss")
+    # Open gaps (on half of the objects) and regions of metal are compared with the start, whose fit is made; edges in two shorter fits.
+    metal = first.metal_regions == "auto" and settings.materials != "low-gloss"
+    masked_trials = 0.5 * (first.stereo == "auto") + metal + 1.2 * (first.open_edges is None)
     trials += first.trial_iterations * min(step, START_STEP) * masked_trials if data.has_alpha and first.start_trials else 0.0
     fit = first.iterations * step
     return START + trials + fit + fixed_seconds(settings, data) + schedule_seconds(settings, data)
