@@ -198,4 +198,6 @@ def with_base(region: ObjectRegion, dense: DensePoints, ground: Ground, sphere: 
     label = region.label.copy()
     label[tuple(cell.T)] = 1
     whole = replace(region, label=label)
-    return whole if sphere is not None else replace(whole, bound=bounding_sphere(whole.points(), region.step))
+    if sphere is not None:
+        return whole
+    return replace(whole, bound=bounding_sphere(np.concatenate([whole.points(), region.foot]), region.step))

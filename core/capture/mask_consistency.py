@@ -24,6 +24,7 @@ ROUNDS = 2  # of carving and cutting again
 LATER_SEED_COST = 1.0  # cost of cutting against a seed in them: the other views know more than single depths
 PRIOR_FALLOFF = 0.15  # radii of the bound beside the object's points over which the first prior falls to 0
 OBJECT_PRIOR = 0.87  # first prior where the object's points are
+FOOT_PRIOR = 0.5  # least first prior where its foot may be
 HIDING_PRIOR = 0.3  # first prior from which a pixel may hide the support plane
 EVIDENCE_BLUR = 1.5  # pixels at 640 a side, sigma of the blur of the plane's evidence in the first cut
 GAP_DIAMETER = 7  # pixels at 640 a side, diameter of gaps in the first masks that are closed
@@ -178,14 +179,16 @@ class _Work:
         return cutout
 
     def _first_prior(self, camera: Camera) -> np.ndarray:
-        """Return the prior (H, W) from the object's points: OBJECT_PRIOR at them, and 0 away from them."""
+        """Return the prior (H, W) from the object's points: OBJECT_PRIOR at them, 0 away from them, FOOT_PRIOR where a foot may be."""
         points, bound = self.region.points(), self.region.bound
         if not len(points):
             return np.full((camera.height, camera.width), 0.5, np.float32)
         on = projected_voxels(camera, points, self.region.step) > 0
         radius = bound.radius * camera.fx / max(float(camera.project(np.asarray(bound.centre)[None])[1][0]), 1e-9)
         distance = cv2.distanceTransform((~on).astype(np.uint8), cv2.DIST_L2, 5)
-        return np.where(on, OBJECT_PRIOR, 0.5 * np.clip(1 - distance / max(PRIOR_FALLOFF * radius, 1), 0, 1)).astype(np.float32)
+        prior = np.where(on, OBJECT_PRIOR, 0.5 * np.clip(1 - distance / max(PRIOR_FALLOFF * radius, 1), 0, 1)).astype(np.float32)
+        foot = projected_voxels(camera, self.region.foot, self.region.step) > 0
+        return np.where(foot, np.maximum(prior, np.float32(FOOT_PRIOR)), prior)
 
     def _plane_evidence(
         self, chosen: list[int], priors: list[np.ndarray], hidden: Sequence[np.ndarray | None]

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from ..datasets.bound import bound_of_cameras
 from ..scene.camera import Camera
 from ..scene.dataset import Bound
+from ..scene.unique_rows import unique_rows
 from .dense_points import DensePoints
 from .soft_hull import projected_voxels
 from .support_plane import SupportPlane
@@ -27,6 +28,7 @@ MIN_POINTS_PER_VOXEL = 3  # points in a voxel from which it is occupied
 MIN_CLUSTER_VOXELS = 12  # voxels of a cluster
 MAX_GAP_RADII = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
 STANDING_VOXELS = 4.0  # voxels above the plane below which a cluster stands on it by itself
+FOOT_FRACTION = 0.25  # of the object's height: down to the plane, a foot that stereo does not see may lie under its lowest so much
 CLUTTER_RADII = 3.0  # radii of the object up to which other things are near it
 CENTRAL_FRACTION = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 RADIUS_QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
@@ -47,6 +49,7 @@ class ObjectRegion:
         step: side of a voxel, world units.
         label: (X, Y, Z) uint8: 1 the object, 2 other things above the plane, 0 no points.
         clutter: bounding spheres of other things near the object, the largest first.
+        foot: (F, 3) points between the object and the plane where a foot may be, see `unseen_foot`.
     """
 
     bound: Bound
@@ -54,6 +57,7 @@ class ObjectRegion:
     step: float
     label: np.ndarray
     clutter: list[Bound]
+    foot: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def labels(self, points: np.ndarray) -> np.ndarray:
         """Return the labels (...,) of points (..., 3), 0 outside the voxels."""
@@ -119,18 +123,26 @@ def find_object_region(
     own = _looked_at(clusters, corner, step, plane, cameras) if sphere is None else _inside(clusters, corner, step, sphere)
     if own is None:
         return None
-    label = np.zeros(shape, np.uint8)
-    label[tuple(clusters.cells.T)] = np.where(own[clusters.label], 1, 2)
-    if sphere is not None:
-        centres = corner + (clusters.cells + 0.5) * step
-        label[tuple(clusters.cells.T)] = np.where(np.linalg.norm(centres - sphere.centre, axis=1) < sphere.radius, 1, 2)
-    bound = sphere or bounding_sphere(corner + (np.argwhere(label == 1) + 0.5) * step, step)
-    region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound))
+    label = _labelled(clusters, own, shape, corner, step, sphere)
+    own_points = corner + (np.argwhere(label == 1) + 0.5) * step
+    foot = own_points[:0] if plane is None else unseen_foot(own_points, plane, step)
+    bound = sphere or bounding_sphere(np.concatenate([own_points, foot]), step)
+    region = ObjectRegion(bound, corner, step, label, _clutter(clusters, own, corner, step, bound), foot)
     return (
         region
         if sphere is not None or _framed(region, cameras, MAX_HANGING_BORDER_FRACTION if plane is None else MAX_BORDER_FRACTION)
         else None
     )
+
+
+def _labelled(clusters: _Clusters, own: np.ndarray, shape: np.ndarray, corner: np.ndarray, step: float, sphere: Bound | None) -> np.ndarray:
+    """Return the labels (X, Y, Z) uint8 of `ObjectRegion`: by cluster, or by the user's sphere."""
+    label = np.zeros(shape, np.uint8)
+    inside = own[clusters.label]
+    if sphere is not None:
+        inside = np.linalg.norm(corner + (clusters.cells + 0.5) * step - sphere.centre, axis=1) < sphere.radius
+    label[tuple(clusters.cells.T)] = np.where(inside, 1, 2)
+    return label
 
 
 def _reach(dense: DensePoints, cameras: Sequence[Camera], sphere: Bound | None) -> float:
@@ -199,6 +211,27 @@ def _beneath(clusters: _Clusters, first: int, corner: np.ndarray, step: float, p
     over = KDTree(flat[body]).query(flat)[0] <= step
     lower = clusters.floor < clusters.floor[first]
     return lower & (np.bincount(clusters.label, over) >= 0.5 * clusters.size)
+
+
+def unseen_foot(points: np.ndarray, plane: SupportPlane, step: float) -> np.ndarray:
+    """Return the places under an object that does not reach its plane: it has a foot, of which stereo sees nothing in the dark.
+
+    Args:
+        points: (N, 3) centres of the object's voxels, at least one.
+        plane: plane on which it stands.
+        step: side of a voxel, world units.
+
+    Returns:
+        (F, 3) points a voxel apart, between the lowest FOOT_FRACTION of the object and the plane; none where it reaches the plane.
+    """
+    height = plane.height(points)
+    lowest = float(height.min())
+    if lowest < STANDING_VOXELS * step:
+        return points[:0]
+    lower = height < lowest + FOOT_FRACTION * (float(height.max()) - lowest)
+    down = step * np.arange(1, int(height[lower].max() / step) + 1)
+    columns = points[lower][:, None] - down[:, None] * plane.normal
+    return unique_rows(np.round(columns[down < height[lower][:, None]] / step)) * step
 
 
 def _distances(clusters: _Clusters, own: np.ndarray, step: float) -> np.ndarray:

@@ -43,6 +43,23 @@ def test_a_foot_that_stereo_sees_apart_belongs_to_what_it_carries(dense, plane, 
     assert len(region.clutter) == 1
 
 
+def test_under_an_object_that_does_not_reach_the_table_may_be_a_foot(dense, plane, table_scene):
+    """Stereo sees nothing of the box's lower half."""
+    cameras = [view.camera for view in table_scene.views]
+    x, y, z = dense.points.position.T
+    dark = (np.hypot(x, y) < 0.7) & (z > 0.05) & (z < 0.5)
+    region = find_object_region(replace(dense, points=dense.points.select(~dark)), plane, cameras)
+    assert region is not None
+    height = plane.height(region.foot)
+    assert 0 < height.min() < 2 * region.step
+    assert height.max() < 0.65
+    assert (np.abs(region.foot[:, :2]) < 0.45).all()
+    assert (np.linalg.norm(region.foot - region.bound.centre, axis=1) < region.bound.radius).mean() > 0.95
+    standing = find_object_region(dense, plane, cameras)
+    assert standing is not None
+    assert not len(standing.foot)
+
+
 def test_other_things_are_reported(dense, plane, table_scene):
     region = find_object_region(dense, plane, [view.camera for view in table_scene.views])
     assert region is not None
