@@ -24,7 +24,7 @@ CAPTURE_STEPS = (  # of a capture, in order; a reconstruction of photographs wit
     ("Cutting out the object", ("dense points", "cut out the object")),
 )
 # Share of each phase of a reconstruction in its whole time, in percent: rounded means of balanced runs of five scenes. Only captures
-# have a quick fit, which takes about 10, and only photographs without masks a trial of the start. The joint optimisation is not in the
+# have a quick fit, which takes about 10, and only objects whose gaps may be open a trial of that. The joint optimisation is not in the
 # mean: it is the paper preset's, and its schedule is hundreds of times as long.
 SHARES = {
     "read images": 1,
@@ -32,9 +32,9 @@ SHARES = {
     "materials": 8,
     "stereo": 5,
     "start": 2,
+    "gaps": 2,
     "metal": 2,
     "spheres": 1,
-    "gaps": 2,
     "edges": 3,
     "first stage": 47,
     "fuse": 4,

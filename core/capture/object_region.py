@@ -28,7 +28,7 @@ MIN_POINTS_PER_VOXEL = 3  # points in a voxel from which it is occupied
 MIN_CLUSTER_VOXELS = 12  # voxels of a cluster
 MAX_GAP_RADII = 0.12  # radii of the object to a part that hangs free, up to which it belongs to the object
 STANDING_VOXELS = 4.0  # voxels above the plane below which a cluster stands on it by itself
-FOOT_FRACTION = 0.25  # of the object's height: down to the plane, a foot that stereo does not see may lie under its lowest so much
+FOOT_FRACTION = 0.25  # lowest part of the object's height; between it and the plane may be a foot that stereo does not see
 CLUTTER_RADII = 3.0  # radii of the object up to which other things are near it
 CENTRAL_FRACTION = 0.5  # of half the image's shorter side, where a cluster's centrality has fallen to 0.6
 RADIUS_QUANTILE = 0.995  # of the points' distances from the centre that the radius covers
@@ -214,7 +214,7 @@ def _beneath(clusters: _Clusters, first: int, corner: np.ndarray, step: float, p
 
 
 def unseen_foot(points: np.ndarray, plane: SupportPlane, step: float) -> np.ndarray:
-    """Return the places under an object that does not reach its plane: it has a foot, of which stereo sees nothing in the dark.
+    """Return where the foot of an object may be that does not reach its plane, because stereo sees nothing of the foot in the dark.
 
     Args:
         points: (N, 3) centres of the object's voxels, at least one.

@@ -35,8 +35,9 @@ COMPARED_VIEWS = 4  # views that each view is compared with
 MIN_REGION_SHARE = 0.2  # share of stereo's points in such regions below which all of them are no start: a chair (.1) loses 1 dB
 CLEARANCE_RADII = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
 MIN_VIEWS_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
-# The same where every depth counts, also what stereo guesses without texture, as a share of the views. Of a pine cone's hull it finds 87 %
-# of the points that close the gaps between scales, and 53 % of what it leaves out are such; 1/12: 93 and 47 %, 1/8: 77 and 60 %.
+# Share of all views in which any depth of stereo, confirmed by other views or not, lies behind a point of the hull, from which it may close
+# a hollow. Of a pine cone's hull it finds 87 % of the points between scales, and 53 % of what it leaves out are such; 1/12: 93 and 47 %,
+# 1/8: 77 and 60 %.
 GUESSED_SHARE_THROUGH = 1 / 10
 
 
@@ -67,6 +68,70 @@ class _Found:
     points: OrientedPoints
 
 
+@dataclass(frozen=True, eq=False)
+class _MaskedStarts:
+    """Starts with masks, on points of stereo and of the visual hull.
+
+    Attributes:
+        dataset: views with masks.
+        found: depth maps and N points of stereo.
+        hull: points (M, 3) of the hull and their normals (M, 3).
+        count: most surfels.
+    """
+
+    dataset: Dataset
+    found: _Found
+    hull: tuple[np.ndarray, np.ndarray]
+    count: int
+
+    @property
+    def reach(self) -> float:
+        """Distance around stereo's points without points of the hull, world units."""
+        return CLEARANCE_RADII * self.dataset.bound.radius
+
+    def with_closed_gaps(self, name: str, chosen: np.ndarray, kept: np.ndarray) -> StereoStart:
+        """Place surfels on some of stereo's points, and on the hull's where they are kept or fill a gap.
+
+        Args:
+            name: name of the start.
+            chosen: (N,) True for the points of stereo to take.
+            kept: (M,) True for the points of the hull that are taken whatever lies near them.
+        """
+        points = self.found.points.select(chosen)
+        keep = kept | _unexplained(self.hull[0], points, self.found.maps, self.reach)
+        opened = partial(self.with_open_gaps, f"{name} with open gaps", chosen, keep)
+        return self._start(name, points, float(chosen.mean()), keep, opened)
+
+    def with_open_gaps(self, name: str, chosen: np.ndarray, keep: np.ndarray) -> StereoStart:
+        """Leave out points of the hull in front of any depths of stereo, and fill gaps with points that fewer views agree on.
+
+        Args:
+            name: name of the start.
+            chosen: (N,) True for the points of stereo to take.
+            keep: (M,) True for the points of the hull that the start with closed gaps lies on.
+        """
+        maps, points = self.found.maps, self.found.points
+        weaker = fuse_points(maps, [view.colour for view in self.dataset.train], MIN_SUPPORT_IN_GAPS)
+        weaker = weaker.select(_apart(weaker.position, points, self.reach))
+        hollow = views_through(self.hull[0], maps, self.reach, 0) >= GUESSED_SHARE_THROUGH * len(maps)
+        keep = keep & ~hollow & _apart(self.hull[0], weaker, self.reach)
+        area = float(chosen.mean()) + len(weaker.position) / len(chosen)
+        return self._start(name, points.select(chosen).joined(weaker), area, keep)
+
+    def _start(
+        self, name: str, points: OrientedPoints, area: float, keep: np.ndarray, opened: Callable[[], StereoStart] | None = None
+    ) -> StereoStart:
+        """Place at most `count` surfels on points of stereo and on those of the hull that are kept, (M,) True.
+
+        `area` is that of the points' surface, as a fraction of the surface on which stereo found points.
+        """
+        # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
+        points = thinned(points, round(area / max(area + keep.mean(), 1e-9) * self.count))
+        left = self.count - len(points.position)
+        on_hull = self.hull[0][keep][:left], self.hull[1][keep][:left]
+        return StereoStart(name, *_joined(self.dataset, points, *on_hull, OPACITY), self.found.maps, opened)
+
+
 def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, everywhere: bool = False) -> list[StereoStart] | None:
     """Place surfels on the points of dense stereo, and on the visual hull or at random where stereo says nothing.
 
@@ -74,8 +139,9 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     the photographs agree better at their depth than at the hull's and where it differs by more than a pixel, and otherwise the hull's. The
     second takes all of stereo's points. It is better where the hull is also wrong between these regions, and worse where stereo matches
     reflections.
-    Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through, but they close hollows without texture. With open
-    gaps, points that fewer views agree on fill gaps, and what stereo's guesses lie behind is left out.
+    Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through, but they close hollows without texture.
+    `StereoStart.opened` makes the same start with open gaps: points that fewer views agree on fill them, and points of the hull that
+    GUESSED_SHARE_THROUGH of the views look through are left out.
 
     Without masks, there is one start, and stereo's points in free space are left out: plain backgrounds and reflections match at false
     depths. Random points are added, likewise outside free space.
@@ -105,14 +171,15 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     if found is None:
         return None
     sampled = hull.sample(count, rng)[:2]
+    starts = _MaskedStarts(dataset, found, sampled, count)
     every = np.ones(len(found.points.position), bool), np.zeros(len(sampled[0]), bool)
-    on_all = partial(_on_parts, dataset, "stereo everywhere", found, every, sampled, count)
+    on_all = partial(starts.with_closed_gaps, "stereo everywhere", *every)
     if everywhere:
         return [on_all()]
     chosen, kept, share = _regions(dataset, found, bounds[2], sampled[0])
     if not chosen.any():
         return []
-    by_regions = _on_parts(dataset, "stereo by regions", found, (chosen, kept), sampled, count)
+    by_regions = starts.with_closed_gaps("stereo by regions", chosen, kept)
     return [by_regions] if share < MIN_REGION_SHARE else [by_regions, on_all()]
 
 
@@ -160,71 +227,6 @@ def _regions(dataset: Dataset, found: _Found, hull_depth: list[np.ndarray], othe
     apart = KDTree(other).query(points, workers=-1)[0] > size
     agreed = KDTree(points).query(other, workers=-1)[0] <= size
     return better & apart, agreed | (evidence.ratio(other) >= MAX_ERROR_RATIO), float(better.mean())
-
-
-def _on_parts(
-    dataset: Dataset, name: str, found: _Found, taken: tuple[np.ndarray, np.ndarray], hull: tuple[np.ndarray, np.ndarray], count: int
-) -> StereoStart:
-    """Place surfels on some of stereo's points, and on the hull's where they are kept or fill a gap.
-
-    Args:
-        dataset: views with masks.
-        name: name of the start.
-        found: points found by stereo, N.
-        taken: (N,) True for the points of stereo, (M,) True for those of the hull that are kept.
-        hull: points (M, 3) of the hull and their normals (M, 3).
-        count: most surfels.
-    """
-    chosen, kept = taken
-    points = found.points.select(chosen)
-    keep = kept | _unexplained(hull[0], points, found.maps, CLEARANCE_RADII * dataset.bound.radius)
-    opened = partial(_with_open_gaps, dataset, f"{name} with open gaps", found, (chosen, keep), hull, count)
-    return StereoStart(name, *_with_hull(dataset, points, chosen.mean(), hull, keep, count), found.maps, opened)
-
-
-def _with_open_gaps(
-    dataset: Dataset, name: str, found: _Found, taken: tuple[np.ndarray, np.ndarray], hull: tuple[np.ndarray, np.ndarray], count: int
-) -> StereoStart:
-    """Place surfels as `_on_parts`, but in gaps on points that fewer views agree on, and not on the hull where stereo's guesses lie behind.
-
-    Args:
-        dataset: views with masks.
-        name: name of the start.
-        found: points found by stereo, N.
-        taken: (N,) True for the points of stereo, (M,) True for those of the hull, that the start with closed gaps lies on.
-        hull: points (M, 3) of the hull and their normals (M, 3).
-        count: most surfels.
-    """
-    chosen, keep = taken
-    reach = CLEARANCE_RADII * dataset.bound.radius
-    weaker = fuse_points(found.maps, [view.colour for view in dataset.train], MIN_SUPPORT_IN_GAPS)
-    weaker = weaker.select(_apart(weaker.position, found.points, reach))
-    points, area = found.points.select(chosen).joined(weaker), chosen.mean() + len(weaker.position) / len(chosen)
-    through = views_through(hull[0], found.maps, reach, 0) >= GUESSED_SHARE_THROUGH * len(found.maps)
-    keep = keep & ~through & _apart(hull[0], weaker, reach)
-    return StereoStart(name, *_with_hull(dataset, points, area, hull, keep, count), found.maps)
-
-
-def _with_hull(
-    dataset: Dataset, points: OrientedPoints, area: float, hull: tuple[np.ndarray, np.ndarray], keep: np.ndarray, count: int
-) -> tuple[Gaussians, float]:
-    """Make at most `count` surfels of stereo's points and of some of the hull's.
-
-    Args:
-        dataset: views with masks.
-        points: points of stereo.
-        area: of the surface that they lie on, as a fraction of that on which stereo found points.
-        hull: points (M, 3) of the hull and their normals (M, 3).
-        keep: (M,) True for the points of the hull to take.
-        count: most surfels.
-
-    Returns:
-        The surfels, and the fraction of them that lie on stereo's points.
-    """
-    # Both cover their parts of the surface evenly: their numbers are in proportion to the areas.
-    points = thinned(points, round(area / max(area + keep.mean(), 1e-9) * count))
-    left = count - len(points.position)
-    return _joined(dataset, points, hull[0][keep][:left], hull[1][keep][:left], OPACITY)
 
 
 def _with_random_points(dataset: Dataset, found: _Found, nearest: Sequence[float], count: int, rng: np.random.Generator) -> StereoStart:

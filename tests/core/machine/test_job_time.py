@@ -31,7 +31,9 @@ def test_more_work_takes_longer(data, history):
     assert estimate_seconds(preset("draft"), data) < 0.7 * balanced
     larger = replace(data, train=[*data.train, *data.train])
     assert balanced < estimate_seconds(SETTINGS, larger) < 1.5 * balanced  # steps do not grow with the photographs
-    no_trial = replace(SETTINGS, first=replace(SETTINGS.first, stereo="on", open_edges=0.0, metal_regions="off"))  # most are of masked jobs
+    no_trial = replace(
+        SETTINGS, first=replace(SETTINGS.first, stereo="on", open_edges=0.0, metal_regions="off")
+    )  # no trial depends on masks
     unmasked = replace(data, train=[replace(view, alpha=None) for view in data.train])
     assert estimate_seconds(no_trial, data) < estimate_seconds(SETTINGS, data)
     assert estimate_seconds(no_trial, unmasked) > estimate_seconds(no_trial, data)
