@@ -263,7 +263,8 @@ class LightMaterialSolver:
         if self._search_metal and done < METAL_TEST_STEP:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
         elif done == METAL_BORDERS_STEP:
-            metal = completed_metal(self._search.redrawn_metal(costs, metal), self._adapted)
+            weight = self.robust_weight * self.derivative**2
+            metal = completed_metal(self._search.redrawn_metal(costs, metal, self.light, weight), self._adapted)
         # Sooner, the prior would settle on a roughness before the light does, see `roughness_prior`.
         self._set_materials(costs, metal, with_prior=done == MATERIAL_STEPS[-1])
 

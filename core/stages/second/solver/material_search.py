@@ -8,8 +8,8 @@ import copy
 import torch
 
 from ....shading.specular_albedo import diffuse_fraction
-from .metal_colours import colour_evidence
-from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
+from .metal_colours import colour_evidence, too_dark
+from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, MAX_EVIDENCE, SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
 from .metal_normals import turned_metal
 from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
@@ -116,12 +116,21 @@ class MaterialSearch:
             gain = self._smoothed(gain)
         return candidates & (gain > MIN_SUPPORT_GAIN * self._views)
 
-    def redrawn_metal(self, costs: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
-        """Redraw the borders of the metal `metal` (P,) bool by costs (P, M, J) that are known better now, see `cut_metal`."""
+    def redrawn_metal(self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
+        """Redraw the borders of metal by costs that are known better now, see `cut_metal`.
+
+        Args:
+            costs: (P, M, J), see `costs`.
+            metal: (P,) bool, metal so far.
+            light: (T, 3) linear radiance of the texels.
+            weight: (K, 3) of the samples, with which the albedo is fitted.
+        """
         if not bool(metal.any()):
             return metal
         dielectric, conductor = (least / self._views + NOISE_ERROR for least in self._least(costs))
-        return cut_metal((dielectric / conductor).log(), metal, self._neighbours, self._similarity)
+        dark = too_dark(self._fitted_albedo(costs, light, weight, torch.ones_like(metal)), metal)
+        evidence = torch.where(dark, -MAX_EVIDENCE, (dielectric / conductor).log())
+        return cut_metal(evidence, metal, self._neighbours, self._similarity)
 
     def grown_metal(
         self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, weight: torch.Tensor, surface_normal: torch.Tensor
@@ -143,10 +152,12 @@ class MaterialSearch:
         turned, as_metal = turned_metal(samples, transfer, light, surface_normal[near], metal[near])
         dielectric, conductor = (least[near] / self._views + NOISE_ERROR for least in self._least(costs))
         by_error = dielectric.log() - (conductor.log() + (turned + NOISE_ERROR).log()) / 2
-        as_dielectric = self._dielectric_albedo(costs, light, weight)[near]
+        as_dielectric = self._fitted_albedo(costs, light, weight, torch.zeros_like(metal))[near]
+        dark = too_dark(as_metal, metal[near])
         evidence, grown = light.new_zeros(len(metal)), metal
         for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
-            evidence[near] = by_error + COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown[near])
+            by_colour = COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown[near])
+            evidence[near] = torch.where(dark, -MAX_EVIDENCE, by_error + by_colour)
             grown = cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
         return grown
 
@@ -159,10 +170,10 @@ class MaterialSearch:
         dielectric, metal = self._least(self._smoothed(costs))
         return (dielectric - metal) / self._views
 
-    def _dielectric_albedo(self, costs: torch.Tensor, light: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
-        """Fit the albedo (P, 3) of all points as dielectrics of the roughness of least cost; see `costs` for the arguments."""
-        roughness = parabola_minimum(self._knots, costs[:, 0])
-        radiance = SampleRadiance(self.samples, self.transfer, self._diffuse, roughness, torch.zeros_like(roughness))
+    def _fitted_albedo(self, costs: torch.Tensor, light: torch.Tensor, weight: torch.Tensor, metal: torch.Tensor) -> torch.Tensor:
+        """Fit the albedo (P, 3) of points, as metal where `metal` (P,) is True, with the roughness of least cost; see `costs`."""
+        roughness = self.roughness(costs, metal)
+        radiance = SampleRadiance(self.samples, self.transfer, self._diffuse, roughness, metal.to(roughness))
         return least_squares_albedo(self.samples, weight, *radiance.terms(light))
 
     @staticmethod

@@ -1,10 +1,14 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Materials by grid search under the true light, on the sphere on a floor."""
 
+import copy
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS_COUNT, MaterialSearch
+from irgspp.core.stages.second.solver.metal_colours import DARK_METAL
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
 from sphere_on_floor import make
 
@@ -50,12 +54,29 @@ def test_the_prior_fills_in_a_roughness_that_nothing_shows(searched):
     assert (search.likely_roughness(flat, metal, albedo) - roughness)[hidden].abs().max() < 0.06
 
 
+def redrawn(search, cost, metal):
+    """Redraw the borders under the light of `make`."""
+    light = make()[2][0]
+    return search.redrawn_metal(cost, metal, light, torch.ones_like(search.samples.colour))
+
+
 def test_candidates_are_the_metal_and_stay(searched):
     search, cost, (_, _, metallic) = searched
     metal = metallic > 0
     assert torch.equal(search.metal_candidates(cost), metal)
-    assert torch.equal(search.redrawn_metal(cost, torch.ones_like(metal)), metal)  # the others are contradicted
-    assert not search.redrawn_metal(cost, torch.zeros_like(metal)).any()
+    assert torch.equal(redrawn(search, cost, torch.ones_like(metal)), metal)  # the others are contradicted
+    assert not redrawn(search, cost, torch.zeros_like(metal)).any()
+
+
+def test_what_would_be_dark_metal_stays_outside_its_borders(searched):
+    search, cost, (albedo, _, metallic) = searched
+    metal, dark = metallic > 0, 0.05
+    height = search.samples.position[:, 2]
+    rubber = metal & (height < height[metal].median())
+    assert float(albedo[metal].mean(1).min()) > DARK_METAL > dark
+    darkened, colour = copy.copy(search), search.samples.colour
+    darkened.samples = replace(search.samples, colour=torch.where(rubber[search.samples.point, None], dark * colour, colour))
+    assert torch.equal(redrawn(darkened, cost, metal), metal & ~rubber)
 
 
 def test_costs_of_metals_are_left_out_where_there_are_none(searched):

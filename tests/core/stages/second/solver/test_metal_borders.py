@@ -14,14 +14,17 @@ def on_grid(step):
     return torch.stack([*torch.meshgrid(x, x, indexing="ij"), torch.zeros(len(x), len(x))], -1).view(-1, 3)
 
 
-def drawn(true, known, noise=0.0):
-    """Draw the metal of surfels four times as dense as the points; `true` and `known` tell of positions whether they are metal."""
+def drawn(true, known, noise=0.0, metals=GOLD):
+    """Draw the metal of surfels four times as dense as the points; `true` and `known` tell of positions whether they are metal.
+
+    The surfels have the albedo `metals` (3,) or (N, 3) where they are metal.
+    """
     points, surfels = on_grid(1.0), on_grid(0.25) + 0.02
     metal, generator = true(surfels), torch.Generator().manual_seed(0)
     nearby = nearby_points(points, torch.full((len(points),), 0.4), known(points).float(), surfels)
     own, other = (1 + noise * torch.rand(len(surfels), generator=generator) for _ in range(2))
     dielectric, conductor = torch.where(metal, 3 * other, own), torch.where(metal, own, 3 * other)
-    colour = torch.where(metal[:, None], GOLD, PAINT)
+    colour = torch.where(metal[:, None], metals, PAINT)
     fits = (AlbedoFit(colour, torch.ones_like(colour), error) for error in (dielectric, conductor))
     return drawn_metal(surfels, 0.5 * colour, nearby, *fits), metal
 
@@ -35,6 +38,16 @@ def test_borders_are_finer_than_the_points(noise):
 def test_a_band_as_narrow_as_the_points_are_apart_stays():
     found, metal = drawn(lambda p: (p[:, 0] - 10).abs() < 0.6, lambda p: (p[:, 0] - 10).abs() < 0.6)
     assert torch.equal(found, metal) and 0 < metal.float().mean() < 0.1
+
+
+def test_surfels_that_would_be_dark_metal_are_none():
+    at = on_grid(0.25)[:, 0] + 0.02
+    rubber = (at > 10.3) & (at < 13.3)
+    black = torch.where(rubber[:, None], torch.full((3,), 0.11), GOLD)
+    among_black, among_gold = (drawn(lambda p: p[:, 0] > 10.3, lambda p: p[:, 0] > 13.6, metals=metals)[0] for metals in (black, GOLD))
+    assert among_gold[(at > 12.5) & rubber].all()  # as metal they fit better
+    assert not among_black[(at < 13.0) & rubber].any()  # neighbours' albedos are averaged
+    assert among_black[at > 14.0].all()
 
 
 def test_a_single_point_does_not_make_metal_where_nothing_else_speaks_for_it():

@@ -6,7 +6,7 @@ import math
 import pytest
 import torch
 from irgspp.core.stages.second.metal import DARKEST, TINT_WIDTH
-from irgspp.core.stages.second.solver.metal_colours import FLOOR, colour_evidence
+from irgspp.core.stages.second.solver.metal_colours import DARK_METAL, DARK_SHARE, FLOOR, colour_evidence, too_dark
 
 GOLD, COPPER, SKIN = (1.0, 0.77, 0.34), (0.95, 0.64, 0.54), (0.4, 0.45, 0.25)
 
@@ -32,6 +32,19 @@ def test_metals_of_two_colours_both_count():
     as_metal = points([GOLD] * 30 + [COPPER] * 30 + [(0.3, 0.5, 0.9)] * 30)
     evidence = colour_evidence(as_metal, points([SKIN] * 90, 1), torch.arange(90) < 60)
     assert float(evidence[:60].min()) > float(evidence[60:].max())
+
+
+def test_rubber_beside_chrome_is_too_dark():
+    chrome, rubber = torch.full((40, 3), 0.7), torch.full((60, 3), 0.11)
+    as_metal = torch.cat([chrome, rubber])
+    assert torch.equal(too_dark(as_metal, torch.arange(100) < 50), torch.arange(100) >= 40)  # ten points of rubber count as metal
+
+
+def test_an_object_of_dark_metal_alone_is_not_too_dark():
+    dark = torch.full((50, 3), 0.5 * DARK_METAL)
+    assert not too_dark(dark, torch.ones(50, dtype=torch.bool)).any()
+    dark[0] *= 0.9 * DARK_SHARE
+    assert torch.equal(torch.nonzero(too_dark(dark, torch.ones(50, dtype=torch.bool)))[:, 0], torch.tensor([0]))
 
 
 def test_a_point_is_no_evidence_for_itself():
