@@ -17,7 +17,7 @@ FLOOR = 0.04
 MAX_MEMBERS, BATCH = 2500, 4096  # members with which points are compared, chosen evenly among more, and points at a time
 # A point is too dark for metal where its albedo as metal is below both. On a toy car, 1 per cent of the points of metal had less than .12
 # to .26, and 90 per cent of the black rubber around hub caps less than .15 to .18; on suzanne_mixed and rocker_corner, 1 per cent of the
-# metal had less than .3 and .41. An object of dark metal alone passes by the second.
+# metal had less than .3 and .41. An object of dark metal alone keeps it, by the second.
 DARK_METAL, DARK_SHARE = 0.16, 0.25  # mean of the channels, and share of that of bright metal
 BRIGHT_QUANTILE = 0.9  # of the albedo of metal, that counts as bright
 
