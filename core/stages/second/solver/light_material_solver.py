@@ -34,7 +34,7 @@ from .light_prior import LightPrior
 from .linear_system import damped_step
 from .material_search import MaterialSearch
 from .metal_normals import metal_trust, reflected_normals
-from .metal_regions import completed_metal, confirm_metal, sharp_regions
+from .metal_regions import completed_metal, confirm_metal, regions_to_test
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error
@@ -273,7 +273,7 @@ class LightMaterialSolver:
         without = self._adapted(torch.zeros_like(self.candidates))
         metal, errors = self._adapted(self.candidates)
         gain = without[1] - errors
-        regions = sharp_regions(self._search.regions(self._search.supported(self.candidates, gain)), metal.roughness, gain)
+        regions = regions_to_test(self._search.regions(self._search.supported(self.candidates, gain)), metal.roughness, gain)
         best, least, confirmed = confirm_metal(regions, without, self._adapted)
         self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
         self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight

@@ -100,10 +100,10 @@ def drawn_metal(
     ratio = (similarity * ratio[neighbours]).sum(1)
     fixed = ratio + PRIOR + POINT_WEIGHT * (2 * nearby.majority[rows] - 1)
     metal = fixed > 0
-    # A single surfel may look dark as metal because its normal is wrong.
-    smooth = (similarity[..., None] * conductor.albedo[rows][neighbours]).sum(1)
     if bool(metal.any()):
-        fixed = torch.where(too_dark(smooth, metal), -MAX_EVIDENCE, fixed)
+        # Of the mean of the neighbours: a single surfel may look dark as metal because its normal is wrong.
+        dark = too_dark((similarity[..., None] * conductor.albedo[rows][neighbours]).sum(1), metal)
+        fixed = torch.where(dark, -MAX_EVIDENCE, fixed)
     for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
         evidence = fixed + COLOUR_WEIGHT * colour_evidence(conductor.albedo[rows], dielectric.albedo[rows], metal)
         metal = least_cut(torch.where(certain[rows], MAX_EVIDENCE, evidence), neighbours, similarity, COUPLING)

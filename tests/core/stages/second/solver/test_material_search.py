@@ -56,8 +56,12 @@ def test_the_prior_fills_in_a_roughness_that_nothing_shows(searched):
 
 def redrawn(search, cost, metal):
     """Redraw the borders under the light of `make`."""
-    light = make()[2][0]
-    return search.redrawn_metal(cost, metal, light, torch.ones_like(search.samples.colour))
+    return search.redrawn_metal(cost, metal, make()[2][0], torch.ones_like(search.samples.colour))
+
+
+def grown(search, cost, metal):
+    """Redraw the borders by searched normals and colours under the light of `make`."""
+    return search.grown_metal(cost, metal, make()[2][0], torch.ones_like(search.samples.colour), search.samples.normal)
 
 
 def test_candidates_are_the_metal_and_stay(searched):
@@ -68,7 +72,8 @@ def test_candidates_are_the_metal_and_stay(searched):
     assert not redrawn(search, cost, torch.zeros_like(metal)).any()
 
 
-def test_what_would_be_dark_metal_stays_outside_its_borders(searched):
+@pytest.mark.parametrize("borders", [redrawn, grown])
+def test_what_would_be_dark_metal_stays_outside_its_borders(searched, borders):
     search, cost, (albedo, _, metallic) = searched
     metal, dark = metallic > 0, 0.05
     height = search.samples.position[:, 2]
@@ -76,7 +81,7 @@ def test_what_would_be_dark_metal_stays_outside_its_borders(searched):
     assert float(albedo[metal].mean(1).min()) > DARK_METAL > dark
     darkened, colour = copy.copy(search), search.samples.colour
     darkened.samples = replace(search.samples, colour=torch.where(rubber[search.samples.point, None], dark * colour, colour))
-    assert torch.equal(redrawn(darkened, cost, metal), metal & ~rubber)
+    assert torch.equal(borders(darkened, cost, metal), metal & ~rubber)
 
 
 def test_costs_of_metals_are_left_out_where_there_are_none(searched):

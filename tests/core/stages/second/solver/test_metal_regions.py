@@ -19,7 +19,7 @@ from irgspp.core.stages.second.solver.metal_regions import (
     connected_regions,
     grow_metal,
     neighbourhood,
-    sharp_regions,
+    regions_to_test,
 )
 
 
@@ -66,19 +66,19 @@ def test_a_region_that_would_be_rough_metal_is_not_tested():
     roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
     first, second = masks((0, 10), (30, 40))
     gain = torch.ones(60)
-    (found,) = sharp_regions([first, second], roughness, gain)
+    (found,) = regions_to_test([first, second], roughness, gain)
     assert found.points.equal(first) and found.roughness == pytest.approx(0.3)
-    assert len(sharp_regions([first, second], torch.full((60,), MAX_METAL_ROUGHNESS), gain)) == 2
+    assert len(regions_to_test([first, second], torch.full((60,), MAX_METAL_ROUGHNESS), gain)) == 2
 
 
 def test_the_points_that_gain_most_tell_how_sharp_a_region_is():
     (region,) = masks((10, 20))
     roughness, gain = torch.full((60,), 0.9), torch.full((60,), 0.1)
     roughness[10:13], gain[10:13] = 0.3, 2.0
-    assert len(sharp_regions([region], roughness, gain)) == 1
+    assert len(regions_to_test([region], roughness, gain)) == 1
     gain[10:13] = -5.0  # a loss counts as no gain
-    assert not sharp_regions([region], roughness, gain)
-    assert not sharp_regions([region], roughness, torch.zeros(60))
+    assert not regions_to_test([region], roughness, gain)
+    assert not regions_to_test([region], roughness, torch.zeros(60))
 
 
 NONE = torch.zeros(60, dtype=torch.bool)
