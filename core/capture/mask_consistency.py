@@ -31,9 +31,9 @@ EVIDENCE_BLUR = 1.5  # pixels at 640 a side, sigma of the blur of the plane's ev
 GAP_DIAMETER = 7  # pixels at 640 a side, diameter of gaps in the first masks that are closed
 ELSEWHERE_SURENESS = 0.7  # how surely pixels that stereo does not see, away from the points, count as background colours
 SURE_SILHOUETTE = 0.9  # how surely other views say that a pixel is the object where the points' coverage is measured
-# How much of the silhouettes' sureness is lost beside points that cover the rest in full. With .7 the masks' mean IoU rises by up to .0045
-# on five captures; with 1 still further on a toy car, but then a thing that stereo sees only in part loses some of the rest.
-POINTS_SURENESS = 0.7
+# Sureness that a silhouette loses far from the object's points, where these cover all silhouettes. With .7 the masks' mean IoU rises by up
+# to .0045 on five captures; with 1 still further on a toy car, but then a thing that stereo sees only in part loses some of the rest.
+LOST_SURENESS = 0.7
 MIN_AGREEMENT = 0.6  # IoU with the other views' silhouette below which a mask has no vote
 SURE_AGREEMENT = 0.75  # IoU below which a finished mask is reported
 
@@ -63,7 +63,7 @@ class _CutInput:
 
     Attributes:
         view: index of the view.
-        prior: 0..1, how surely other views say that a pixel is the object.
+        prior: 0..1, how surely other views and the object's points say that a pixel is the object.
         sure: -1..1, how surely a pixel's colour is the object's (1) or the background's (-1).
         seed_cost: cost of cutting against a seed, nats.
         start: 0..1 where the iterations begin.
@@ -159,7 +159,7 @@ class _Work:
         self._compare(found)
         chosen = [i for i, cutout in enumerate(self.cutouts) if cutout is not None]
         near = [self._cutout(i).cropped(self._first_prior(self.cameras[i])) / OBJECT_PRIOR for i in chosen]
-        priors = near_points([self._cutout(i).cropped(found[i]) for i in chosen], near)
+        priors = trusted_silhouettes([self._cutout(i).cropped(found[i]) for i in chosen], near)
         costs = [LATER_SEED_COST if self.agreement[i] >= MIN_AGREEMENT else 0.0 for i in chosen]
         parts = zip(chosen, priors, costs, self._plane_evidence(chosen, priors, self.masks), strict=True)
         self._cut([_CutInput(i, prior, 2 * prior - 1, cost, prior, plane) for i, prior, cost, plane in parts])
@@ -254,20 +254,20 @@ def _first_sureness(cutout: Cutout, prior: np.ndarray) -> np.ndarray:
     return np.where(cutout.seed != 0, cutout.seed, np.where(prior < 0.35, -ELSEWHERE_SURENESS, 0)).astype(np.float32)
 
 
-def near_points(silhouettes: Sequence[np.ndarray], near: Sequence[np.ndarray]) -> list[np.ndarray]:
-    """Return silhouettes of a hull that are less sure beside the object's points.
+def trusted_silhouettes(silhouettes: Sequence[np.ndarray], near: Sequence[np.ndarray]) -> list[np.ndarray]:
+    """Return silhouettes of a hull that are less sure where no point of the object is near.
 
-    A hull also fills what only a few views see past, such as the space between wheels, where stereo finds no points. That tells as much
-    as the points cover the silhouettes elsewhere. What points enclose stays: stereo sees nothing on plain parts either.
+    A hull also fills what only a few views see past, such as the space between wheels. Stereo finds no points there. This counts the more,
+    the more of the silhouettes the object's points cover. Pixels that points enclose stay sure: stereo finds none on plain surfaces either.
 
     Args:
-        silhouettes: (h, w) 0..1 of each view.
-        near: (h, w) 0..1 of each view, 1 at the object's points.
+        silhouettes: (h, w) 0..1 of each view, how surely a pixel is the object.
+        near: (h, w) 0..1 of each view, 1 at the object's points, 0 far from them.
     """
     at_points = [points >= 1 for points in near]
     inside = [silhouette > SURE_SILHOUETTE for silhouette in silhouettes]
     covered = [float(points[sure].mean()) for points, sure in zip(at_points, inside, strict=True) if sure.any()]
-    loss = POINTS_SURENESS * float(np.median(covered)) if covered else 0.0
+    loss = LOST_SURENESS * float(np.median(covered)) if covered else 0.0
     enclosed = [np.asarray(ndimage.binary_fill_holes(points), bool) for points in at_points]
     limits = [np.where(within, 1, 1 - loss * (1 - points)) for within, points in zip(enclosed, near, strict=True)]
     return [np.minimum(*pair).astype(np.float32) for pair in zip(silhouettes, limits, strict=True)]
