@@ -42,6 +42,7 @@ from .report import write_contact_sheet, write_page
 from .sparse_model import SparseModel
 from .static_background import SeenBackground, light_rotations
 from .turntable import find_turntable
+from .uncertain_poses import without_uncertain_poses
 from .undistortion import UndistortedImage, undistort_photographs
 from .upright import is_wall, world_similarity
 
@@ -174,7 +175,7 @@ def _posed(source: Path, folder: Path, settings: CaptureSettings, seed: int, pro
     photographs, left_out = read_photographs(source, folder, settings, progress)
     _report_left_out(left_out, progress)
     turntable = find_turntable(photographs, settings.turntable, progress)
-    model = find_poses(photographs, folder, settings, seed, progress, turntable)
+    model = without_uncertain_poses(find_poses(photographs, folder, settings, seed, progress, turntable))
     _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 from scipy import ndimage
@@ -18,6 +19,7 @@ from .dense_points import DensePoints
 from .soft_hull import projected_voxels
 from .support_plane import SupportPlane
 
+NEAR_VOXELS = 2  # voxels beside the object in which points low above the plane may be its feet
 VOXEL_PIXELS = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
 SEARCH_REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
 FRAME_RADII = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
@@ -61,14 +63,28 @@ class ObjectRegion:
 
     def labels(self, points: np.ndarray) -> np.ndarray:
         """Return the labels (...,) of points (..., 3), 0 outside the voxels."""
-        cell = np.floor((points - self.corner) / self.step).astype(np.int64)
-        inside = ((cell >= 0) & (cell < self.label.shape)).all(-1)
-        cell = np.where(inside[..., None], cell, 0)
-        return np.where(inside, self.label[cell[..., 0], cell[..., 1], cell[..., 2]], 0)
+        return _looked_up(self.label, (points - self.corner) / self.step)
+
+    def near(self, points: np.ndarray) -> np.ndarray:
+        """Return (...,) True for the points (..., 3) that are no more than NEAR_VOXELS voxels beside those of the object."""
+        return _looked_up(self._widened, (points - self.corner) / self.step + NEAR_VOXELS)
+
+    @cached_property
+    def _widened(self) -> np.ndarray:
+        """Voxels (X + 2 NEAR_VOXELS, ...) bool in and near the object."""
+        return np.asarray(ndimage.binary_dilation(np.pad(self.label == 1, NEAR_VOXELS), np.ones((3, 3, 3)), NEAR_VOXELS), bool)
 
     def points(self) -> np.ndarray:
         """Return the centres (N, 3) of the object's voxels."""
         return self.corner + (np.argwhere(self.label == 1) + 0.5) * self.step
+
+
+def _looked_up(grid: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """Return the values (...,) of a grid (X, Y, Z) at places (..., 3) in voxels, 0 outside."""
+    cell = np.floor(place).astype(np.int64)
+    inside = ((cell >= 0) & (cell < grid.shape)).all(-1)
+    cell = np.where(inside[..., None], cell, 0)
+    return np.where(inside, grid[cell[..., 0], cell[..., 1], cell[..., 2]], grid.dtype.type(0))
 
 
 @dataclass(frozen=True, eq=False)

@@ -134,15 +134,16 @@ def _sphere_mask(camera: Camera, bound: Bound) -> np.ndarray:
 
 
 def _depth_seeds(one: DepthMap, region: ObjectRegion, ground: Ground | None) -> np.ndarray:
-    """Return seeds (h, w) int8 at the depth map's resolution."""
+    """Return seeds (h, w) int8 at the depth map's resolution; the end of a thin leg, near the plane, is neither."""
     known = one.support >= MIN_SUPPORT
     points = one.points()
-    own = known & (region.labels(points) == 1)
+    own, other = known & (region.labels(points) == 1), known
     if ground is not None:
         own &= ~ground.below(points)
+        other = known & ~(region.near(points) & ground.may_be_foot(points))
     window = np.ones((SEED_WINDOW, SEED_WINDOW), np.uint8)
     inner = cv2.erode((own | ~known).astype(np.uint8), window) * own
-    outer = cv2.erode((~own).astype(np.uint8), window) * (known & ~own)
+    outer = cv2.erode((~own).astype(np.uint8), window) * (other & ~own)
     return inner.astype(np.int8) - outer.astype(np.int8)
 
 

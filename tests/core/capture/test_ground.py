@@ -101,3 +101,11 @@ def test_the_planes_texture_leaves_the_base_out():
     seen = ground.visible(PlaneTexture(np.zeros((31, 31, 3), np.float32), np.ones((31, 31), np.float32), frame))
     assert seen.known[15, 8] == 0  # at x = -.7
     assert seen.known[15, 3] == 1  # at x = -1.2
+
+
+def test_what_stands_on_the_plane_may_have_its_foot_low_above_it():
+    _, region, ground = ground_of(disc(0, 0))
+    low = 0.6 * ground.lowest
+    foot, in_plane, wall, beside = [0.3, 0.0, low], [0.3, 0.0, 0.1 * low], [0.3, 0.0, 0.5], [0.8, 0.0, low]
+    places = np.array([foot, in_plane, wall, beside])
+    assert (region.near(places) & ground.may_be_foot(places)).tolist() == [True, False, False, False]

@@ -5,8 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from irgspp.core.capture import object_masks
-from irgspp.core.capture.mask_consistency import trusted_silhouettes
+from irgspp.core.capture import mask_consistency, object_masks
 from irgspp.core.capture.object_masks import cut_out
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.schema import CaptureSettings
@@ -49,22 +48,12 @@ def test_a_part_that_reflects_the_table_is_not_lost(shiny, table_scene):
     assert np.mean(inside) > 0.48
 
 
-def test_a_silhouette_is_less_sure_away_from_points_but_not_where_they_enclose_it():
-    """The points are two wheels, a body over them, and a hole in it; the silhouette fills the space between the wheels."""
-    silhouette, near = np.zeros((40, 60), np.float32), np.zeros((40, 60), np.float32)
-    silhouette[5:35, 5:55] = 1.0
-    near[5:25, 5:55] = near[25:35, 5:15] = near[25:35, 45:55] = 1.0
-    near[10:14, 28:32] = 0.0
-    (found,) = trusted_silhouettes([silhouette], [near])
-    assert np.all(found[26:35, 16:44] < 0.5)  # between the wheels
-    assert np.all(found[5:25, 5:55] == 1.0)  # the body, and the hole that points enclose
-    assert np.all(found[silhouette == 0] == 0)
-
-
-def test_silhouettes_of_an_object_without_points_stay():
-    silhouette = np.full((20, 20), 0.95, np.float32)
-    few = np.zeros((20, 20), np.float32)
-    few[3, 3] = 1.0
-    for near in (np.full((20, 20), 0.57, np.float32), few):
-        (found,) = trusted_silhouettes([silhouette], [near])
-        assert np.all(found > 0.9)
+@pytest.mark.parametrize(("overlap", "extra"), [(0.0, 0), (1.1, mask_consistency.MAX_ROUNDS - mask_consistency.MIN_ROUNDS)])
+def test_masks_are_cut_until_they_settle(dense, table_scene, heard, monkeypatch, overlap, extra):
+    """The extra rounds have a phase each."""
+    monkeypatch.setattr(object_masks, "find_dense_points", lambda *_: dense)
+    monkeypatch.setattr(mask_consistency, "SETTLED_OVERLAP", overlap)
+    watcher, count = heard(), len(table_scene.views)
+    assert cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, watcher) is not None
+    phases = [steps for name, steps in watcher.phases if name == "cut out the object"]
+    assert phases == [(mask_consistency.MIN_ROUNDS + 1) * count] + extra * [count]
