@@ -39,6 +39,7 @@ from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error
 from .sample_radiance import SampleRadiance
+from .seen_light import SeenLight
 
 STEPS = 44  # Gauss-Newton steps of the light; all else is scheduled by the number of steps done
 MATERIAL_STEPS = (8, 12, 16, 20, 28, 36, 38)  # roughness and metallic are searched when so many steps are done
@@ -52,7 +53,7 @@ MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 SPLIT_CAUCHY_FACTOR = 4.0
 TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
 SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
-LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
+UNKNOWNS, LOG_LIGHT_RANGE = ("light", "albedo", "roughness", "metallic"), (-9, 7)  # range of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 
 
@@ -83,6 +84,7 @@ class LightMaterialSolver:
         metallic: torch.Tensor,
         seed: int,
         search_metal: bool = True,
+        seen: SeenLight | None = None,
     ) -> None:
         """Start with a medium constant albedo and a constant light.
 
@@ -93,22 +95,21 @@ class LightMaterialSolver:
             metallic: (P,) initial values.
             seed: seed of the random selection of points that colours are compared with.
             search_metal: some points may be metal; otherwise none is.
+            seen: light that the photographs show directly; None for none.
         """
-        self.samples, self.transfer, self._search_metal, self._seed = samples, transfer, search_metal, seed
+        self.samples, self.transfer, self._search_metal, self._seed, self._seen = samples, transfer, search_metal, seed, seen
         self.surface_normal = samples.normal
         self.generator = torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
         self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM_ALBEDO)
         self.albedo, self.start_albedo = torch.full_like(mean, MEDIUM_ALBEDO), MEDIUM_ALBEDO
-        self.derivative = approximate_srgb_derivative(samples.colour)
-        self.robust_weight = torch.ones_like(samples.colour)
-        self._light_prior = LightPrior(transfer.texels, mean.device)
+        self.derivative, self.robust_weight = approximate_srgb_derivative(samples.colour), torch.ones_like(samples.colour)
+        self._light_prior = LightPrior(transfer.texels, mean.device, seen)
         self._diffuse = transfer.diffuse_rows(samples)
         self._search = MaterialSearch(samples, transfer, self._diffuse, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
-        self._curvature = mean.new_zeros(3)  # of the error in each channel's log brightness
-        self._trust = mean.new_ones(len(mean))  # by which points count for the light
+        self._curvature, self._trust = mean.new_zeros(3), mean.new_ones(len(mean))  # see `damped_step`, `metal_trust`
         # Root mean square of the last step of the log light, and factor of CAUCHY_SCALE in the next one.
         self._moved, self._loosened = math.inf, 1.0
         self._update_model()
@@ -130,8 +131,7 @@ class LightMaterialSolver:
         if done in MATERIAL_STEPS:
             self._search_materials(done)
         self._step(done)
-        unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
-        require_finite(unknowns, f"after step {done + 1} of the second stage")
+        require_finite({name: getattr(self, name) for name in UNKNOWNS}, f"after step {done + 1} of the second stage")
 
     def copied(self) -> LightMaterialSolver:
         """Return a copy that goes its own way."""
@@ -143,7 +143,7 @@ class LightMaterialSolver:
         """Return a solver at its start for each `every`-th point; this one must be at its start, too."""
         kept = torch.arange(len(self.albedo), device=self.albedo.device) % every == 0
         samples, transfer = self.samples.subset(kept), self.transfer.subset(kept)
-        return LightMaterialSolver(samples, transfer, self.roughness[kept], self.metallic[kept], self._seed, self._search_metal)
+        return LightMaterialSolver(samples, transfer, self.roughness[kept], self.metallic[kept], self._seed, self._search_metal, self._seen)
 
     def start_dark(self) -> None:
         """Start from a dark albedo under a bright light instead."""
@@ -158,7 +158,7 @@ class LightMaterialSolver:
         """Continue with smaller texels where the light is bright."""
         self.transfer, old = split(self.transfer, self.light)
         self.light = self.light[torch.from_numpy(old).to(self.light.device)].contiguous()
-        self._light_prior = LightPrior(self.transfer.texels, self.light.device)
+        self._light_prior = LightPrior(self.transfer.texels, self.light.device, self._seen)
         self._diffuse = self.transfer.diffuse_rows(self.samples)
         self._search = self._search.with_transfer(self.transfer, self._diffuse)
         self._loosened = SPLIT_CAUCHY_FACTOR
@@ -250,7 +250,7 @@ class LightMaterialSolver:
     def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor) -> None:
         """Do a damped Gauss-Newton step of the light, by the Hessian (T, T) of each channel and the gradient (T, 3)."""
         log_light = self.light.log()
-        step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.form(self.light))
+        step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.terms(self.light, self.error()))
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT_RANGE).exp())
         self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 

@@ -27,6 +27,7 @@ from .light_material_solver import LightMaterialSolver, Split
 from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples, sample_views
 from .radiance_transfer import RadianceTransfer
+from .seen_light import SeenLight, seen_light
 from .solver_run import TOTAL_STEPS, run_solver
 from .transfer_tracing import split_brightest, trace_radiance_transfer
 
@@ -50,6 +51,7 @@ class SolverInputs:
         transfer: radiance transfer to the points.
         tracer: tracer of the Gaussians.
         settings: settings of the job.
+        seen: light that the photographs show directly; None for none.
     """
 
     reconstruction: Reconstruction
@@ -57,13 +59,14 @@ class SolverInputs:
     transfer: RadianceTransfer
     tracer: SecondaryTracer
     settings: Settings
+    seen: SeenLight | None
 
     def solver(self, search_metal: bool) -> LightMaterialSolver:
         """Return a solver that starts with the roughness and metallic of the nearest Gaussians, without metal unless it is searched."""
         g = self.reconstruction.gaussians
         roughness, metallic = g.materials()[3:, nearest_neighbours(g.position.T, self.samples.position, 1)[:, 0]]
         metallic = (metallic > METALLIC_THRESHOLD).float() * search_metal
-        return LightMaterialSolver(self.samples, self.transfer, roughness, metallic, self.settings.seed, search_metal)
+        return LightMaterialSolver(self.samples, self.transfer, roughness, metallic, self.settings.seed, search_metal, self.seen)
 
     def split(self) -> Split | None:
         """Return the function that splits bright texels of the light; None where they stay as they are.
@@ -99,7 +102,7 @@ def solve_light_materials(
     samples = _sample_surface(surface, dataset, tracer, settings)
     transfer = _trace_transfer(samples, dataset, tracer, settings, progress)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
-    inputs = SolverInputs(reconstruction, samples, transfer, tracer, settings)
+    inputs = SolverInputs(reconstruction, samples, transfer, tracer, settings, seen_light(dataset, tracer, settings.second))
     # Without masks the surroundings, which are not a distant light, would be taken for reflections on metal, or on a dark object.
     search_metal = dataset.has_alpha or reconstruction.has_split_sum
     solver = _solve_from_first_stage(inputs, search_metal, progress)

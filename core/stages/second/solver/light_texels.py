@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from ....kernels.constants import PER_STRATUM
+from ....shading.environment_lookup import direction_to_uv
 from ...common.light_map import resized_light
 
 
@@ -91,6 +92,13 @@ class LightTexels:
         z, phi = top + (bottom - top) * down, math.pi - (self.column + across) * (math.pi / rows)
         r = np.sqrt(1 - z * z)
         return np.stack([r * np.cos(phi), r * np.sin(phi), z])
+
+    def containing(self, direction: np.ndarray) -> np.ndarray:
+        """Return the texels (N,) int64 in which directions (N, 3) unit lie."""
+        painted = self._painted()
+        u, v = (part.numpy() for part in direction_to_uv(torch.from_numpy(direction)))
+        row, column = (np.clip((part * size).astype(int), 0, size - 1) for part, size in zip((v, u), painted.shape, strict=True))
+        return painted[row, column]
 
     def split(self, chosen: np.ndarray) -> tuple[LightTexels, LightTexels, np.ndarray]:
         """Split texels into four each.

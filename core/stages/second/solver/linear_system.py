@@ -12,7 +12,7 @@ MAX_LOG_STEP = 1  # largest change of a texel's log radiance in a step
 
 
 def damped_step(
-    light: torch.Tensor, hessians: Sequence[torch.Tensor], gradient: torch.Tensor, smoothness: torch.Tensor
+    light: torch.Tensor, hessians: Sequence[torch.Tensor], gradient: torch.Tensor, prior: tuple[torch.Tensor, torch.Tensor]
 ) -> tuple[torch.Tensor, torch.Tensor]:
     """Compute a damped Gauss-Newton step of the logarithm of a light.
 
@@ -20,19 +20,20 @@ def damped_step(
         light: (T, 3) linear radiance of the texels, > 0.
         hessians: (T, T) of each channel's error, with respect to the light.
         gradient: (T, 3) of the error, with respect to the light.
-        smoothness: (T, T) quadratic form of a channel's log radiance that is added to the error.
+        prior: quadratic form (T, T) of a channel's log radiance that is added to the error, and its gradient (T, 3).
 
     Returns:
-        (T, 3) to be subtracted from the log radiance, and the curvature (3,) of the error in each channel's log brightness.
+        (T, 3) to be subtracted from the log radiance, and the curvature (3,) of the error and the prior in each channel's log brightness.
     """
+    form, slope = prior
     steps, curvature = [], []
     for c, linear in enumerate(hessians):
         radiance = light[:, c]
         hessian = radiance[:, None] * linear * radiance  # with respect to the logarithm of the light
-        damped = hessian + smoothness + torch.diag(DAMPING * hessian.diagonal() + 1e-10)
-        right = radiance * gradient[:, c] + smoothness @ radiance.log()
+        damped = hessian + form + torch.diag(DAMPING * hessian.diagonal() + 1e-10)
+        right = radiance * gradient[:, c] + slope[:, c]
         steps.append(solve_positive(damped.double(), right.double()).float())
-        curvature.append(hessian.sum())
+        curvature.append(hessian.sum() + form.sum())
     return torch.stack(steps, 1).clamp(-MAX_LOG_STEP, MAX_LOG_STEP), torch.stack(curvature)
 
 

@@ -6,8 +6,18 @@ import math
 import numpy as np
 import pytest
 import torch
-from irgspp.core.stages.second.solver.light_prior import HALF_WEIGHT_SLOPE, INDEPENDENT_ERRORS, MAX_LIKELY_TINT, SMOOTHNESS, LightPrior
+from irgspp.core.stages.second.solver.light_prior import (
+    HALF_WEIGHT_SLOPE,
+    INDEPENDENT_ERRORS,
+    MAX_LIKELY_TINT,
+    ROUGH_EDGE,
+    ROUGH_ERROR,
+    SEEN_WEIGHT,
+    SMOOTHNESS,
+    LightPrior,
+)
 from irgspp.core.stages.second.solver.light_texels import LightTexels
+from irgspp.core.stages.second.solver.seen_light import SeenLight
 
 HEIGHT, WIDTH = 4, 8
 EDGE = HALF_WEIGHT_SLOPE * math.pi / HEIGHT
@@ -36,14 +46,38 @@ def test_small_differences_count_in_full_and_edges_hardly(prior):
     for step in (1e-3, EDGE, 10 * EDGE):
         log_light = torch.zeros(HEIGHT * WIDTH, 3, dtype=torch.float64)
         log_light[0] = step
-        curvature = float(prior.form(log_light.exp())[0, 0])
+        curvature = float(prior.form(log_light.exp(), 0.0)[0, 0])
         assert curvature == pytest.approx(3 * SMOOTHNESS / (1 + (step / EDGE) ** 2), rel=1e-9)  # the texel has three neighbours
+
+
+def test_small_texels_are_smoother_the_noisier_the_photographs_are():
+    """Texels of 32 rows have an edge of .25; with noise it rises to ROUGH_EDGE."""
+    fine, step = LightPrior(LightTexels.uniform(32), "cpu"), 0.5
+    log_light = torch.zeros(2048, 3, dtype=torch.float64)
+    log_light[64 * 16] = step  # with four neighbours
+    for error, edge in ((0.0, HALF_WEIGHT_SLOPE * math.pi / 32), (0.8 * ROUGH_ERROR, 0.64 * ROUGH_EDGE), (9 * ROUGH_ERROR, ROUGH_EDGE)):
+        curvature = float(fine.form(log_light.exp(), error)[64 * 16, 64 * 16])
+        assert curvature == pytest.approx(4 * SMOOTHNESS / (1 + (step / edge) ** 2), rel=1e-6)
+
+
+def test_light_is_pulled_towards_what_the_photographs_show():
+    """The gradient is that of SEEN_WEIGHT / 2 times the squared difference of the log light in the one texel that was seen."""
+    texels, direction = LightTexels.uniform(HEIGHT), np.tile([[0.2, 0.3, 0.9]], (6, 1)) / math.sqrt(0.94)
+    shown = SeenLight(direction, np.tile([[0.4, 0.2, 0.1]], (6, 1)), np.zeros(6, bool), np.zeros(6, int))
+    seen = int(texels.containing(direction)[0])
+    light = torch.full((texels.count, 3), 1.5)
+    form, slope = LightPrior(texels, "cpu", shown).terms(light, 0.0)
+    weight = SEEN_WEIGHT * texels.solid_angles[seen] * texels.count / (4 * math.pi)
+    assert float(form.sum()) == pytest.approx(weight, rel=1e-3)
+    assert slope[seen].tolist() == pytest.approx((weight * np.log([1.5 / 0.4, 1.5 / 0.2, 1.5 / 0.1])).tolist(), rel=1e-3)
+    slope[seen] = 0
+    assert float(slope.abs().max()) < 1e-3 * weight
 
 
 def test_constant_light_costs_nothing_and_has_no_slope(prior):
     light = torch.full((HEIGHT * WIDTH, 3), 0.7, dtype=torch.float64)
     log_light = light[:, 0].log()
-    assert float((prior.form(light) @ log_light).abs().max()) < 1e-12 * SMOOTHNESS / EDGE
+    assert float((prior.form(light, 0.0) @ log_light).abs().max()) < 1e-12 * SMOOTHNESS / EDGE
 
 
 def test_tint_is_that_of_the_mean_over_the_sphere(prior):

@@ -142,3 +142,9 @@ def test_directions_within_a_stratum_surround_it(split, side):
     size = np.sqrt(angle)
     assert (np.linalg.norm(inner.mean(2).T - many, axis=0) < 0.08 * size).all()
     assert (inner.std(2).max(1) > 0.15 * size).all()
+
+
+def test_a_direction_is_found_in_its_texel(split):
+    direction, _ = split.directions(3, 5)
+    assert np.array_equal(split.containing(direction.T.astype(np.float64)), np.tile(np.arange(split.count), 9))
+    assert len(split.containing(np.zeros((0, 3)))) == 0

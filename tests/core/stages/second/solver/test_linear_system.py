@@ -24,10 +24,10 @@ def test_an_indefinite_matrix_is_solved_too():
 def test_steps_lead_to_the_light_that_explains_radiance():
     generator = torch.Generator().manual_seed(3)
     rows, true = torch.rand(60, 8, generator=generator), torch.rand(8, 3, generator=generator) + 0.3
-    light, smoothness = torch.full((8, 3), 5.0), 1e-7 * torch.eye(8)
+    light, form = torch.full((8, 3), 5.0), 1e-7 * torch.eye(8)
     for _ in range(30):
         gradient = rows.T @ (rows @ (light - true))
-        step, curvature = damped_step(light, [rows.T @ rows] * 3, gradient, smoothness)
+        step, curvature = damped_step(light, [rows.T @ rows] * 3, gradient, (form, form @ light.log()))
         assert step.abs().max() <= MAX_LOG_STEP
         light = (light.log() - step).exp()
     torch.testing.assert_close(light, true, rtol=1e-3, atol=0)
