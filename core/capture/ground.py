@@ -29,7 +29,7 @@ MIN_BASE_PIXELS, MIN_BASE_DEVIATIONS = 0.6, 8.0
 # plane.
 FOOT = 4.0
 # Height from which a point beside the object may be a foot's, as a fraction of the height from which points do not belong to the plane.
-FOOT_FRACTION = 0.35
+LOWEST_FOOT = 0.35
 FOOT_MARGIN_CELLS = 2  # cells beside the object's foot whose heights its own points raise
 MIN_BASE_FRACTION = 0.1  # least number of a base's cells beyond these, as a fraction of the foot's
 MIN_POINTS_PER_CELL = 1.0  # averaged number of points in a cell whose height is known
@@ -123,7 +123,7 @@ class Ground:
 
     def may_be_foot(self, points: np.ndarray) -> np.ndarray:
         """Return (...,) True for the points (..., 3) that are lower than those that do not belong to the plane, but hardly in it."""
-        return self.below(points) & (self.plane.height(points) > FOOT_FRACTION * self.lowest)
+        return self.below(points) & (self.plane.height(points) > LOWEST_FOOT * self.lowest)
 
     def visible(self, texture: PlaneTexture) -> PlaneTexture:
         """Return the plane's texture without what the base covers."""

@@ -19,8 +19,8 @@ from .dense_points import DensePoints
 from .soft_hull import projected_voxels
 from .support_plane import SupportPlane
 
-NEAR_VOXELS = 2  # voxels beside the object in which points low above the plane may be its feet
 VOXEL_PIXELS = 2.5  # side of a voxel, pixels of a depth map at the look-at point's distance
+NEAR_VOXELS = 2  # voxels beside the object in which points low above the plane may be its feet
 SEARCH_REACH = 0.85  # distances of the cameras around the look-at point in which clusters are sought
 FRAME_RADII = 2.0  # reach of that search in radii of the sphere that fills the images; the shorter of both reaches counts
 # Height above the plane from which points do not belong to it, in pixels of a depth map at the look-at point's distance.

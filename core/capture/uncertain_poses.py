@@ -21,7 +21,7 @@ from .sparse_model import PosedPhotograph, SparseModel
 # all photographs. In six captures it was .14 to .47 for the four photographs in which a cloth hides the object, .07 at most for the
 # others, and .02 to .04 in the median.
 MAX_DEVIATION, MAX_MEDIANS = 0.1, 4.0
-MAX_FRACTION = 0.1  # fraction of the photographs that may be left out; where more are uncertain, the scene has few points
+MAX_FRACTION = 0.1  # fraction of the photographs; where more are uncertain, the scene has few points, and none is left out
 MEAN_TO_DEVIATION = 0.8  # standard deviation of an error along an axis over the mean length of errors in the plane
 
 

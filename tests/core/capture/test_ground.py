@@ -1,12 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A thin flat part under the object is its own; a table, a mat under several things and the foot of an object alone are not."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 from irgspp.core.capture.dense_points import DensePoints
 from irgspp.core.capture.ground import find_ground, with_base
 from irgspp.core.capture.object_region import find_object_region, lowest_height
 from irgspp.core.capture.plane_texture import PlaneTexture
+from irgspp.core.capture.segmentation import MIN_SUPPORT, _depth_seeds
 from irgspp.core.capture.support_plane import SupportPlane
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound
@@ -109,3 +112,10 @@ def test_what_stands_on_the_plane_may_have_its_foot_low_above_it():
     foot, in_plane, wall, beside = [0.3, 0.0, low], [0.3, 0.0, 0.1 * low], [0.3, 0.0, 0.5], [0.8, 0.0, low]
     places = np.array([foot, in_plane, wall, beside])
     assert (region.near(places) & ground.may_be_foot(places)).tolist() == [True, False, False, False]
+
+
+def test_depths_low_on_the_objects_foot_are_no_seed_for_the_table():
+    _, region, ground = ground_of(disc(0, 0))
+    for place, seed in (([0.3, 0.0, 0.6 * ground.lowest], 0), ([0.3, 0.0, 0.5], 1), ([0.8, 0.0, 0.6 * ground.lowest], -1)):
+        same = SimpleNamespace(support=np.full((5, 5), MIN_SUPPORT), points=lambda place=place: np.tile(place, (5, 5, 1)))
+        assert (_depth_seeds(same, region, ground) == seed).all()

@@ -53,7 +53,7 @@ MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 SPLIT_CAUCHY_FACTOR = 4.0
 TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
 SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
-UNKNOWNS, LOG_LIGHT_RANGE = ("light", "albedo", "roughness", "metallic"), (-9, 7)  # range of a texel's log radiance
+LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 
 
@@ -98,8 +98,7 @@ class LightMaterialSolver:
             seen: light that the photographs show directly; None for none.
         """
         self.samples, self.transfer, self._search_metal, self._seed, self._seen = samples, transfer, search_metal, seed, seen
-        self.surface_normal = samples.normal
-        self.generator = torch.Generator().manual_seed(seed)
+        self.surface_normal, self.generator = samples.normal, torch.Generator().manual_seed(seed)
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
         self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM_ALBEDO)
@@ -110,8 +109,7 @@ class LightMaterialSolver:
         self._search = MaterialSearch(samples, transfer, self._diffuse, mean, search_metal)
         self.candidates, self.regions, self.metal_gain = torch.zeros_like(metallic, dtype=torch.bool), (0, 0), 0.0
         self._curvature, self._trust = mean.new_zeros(3), mean.new_ones(len(mean))  # see `damped_step`, `metal_trust`
-        # Root mean square of the last step of the log light, and factor of CAUCHY_SCALE in the next one.
-        self._moved, self._loosened = math.inf, 1.0
+        self._moved, self._loosened = math.inf, 1.0  # root mean square of the last step of the log light; next factor of CAUCHY_SCALE
         self._update_model()
 
     @property
@@ -131,7 +129,8 @@ class LightMaterialSolver:
         if done in MATERIAL_STEPS:
             self._search_materials(done)
         self._step(done)
-        require_finite({name: getattr(self, name) for name in UNKNOWNS}, f"after step {done + 1} of the second stage")
+        unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
+        require_finite(unknowns, f"after step {done + 1} of the second stage")
 
     def copied(self) -> LightMaterialSolver:
         """Return a copy that goes its own way."""
@@ -245,12 +244,13 @@ class LightMaterialSolver:
         if self._hessian is None or self._age >= MAX_HESSIAN_AGE or self._moved > MAX_HESSIAN_STEP or rises:
             self._hessian, self._age = self._model.hessian(self.albedo, weight, factor, samples.sums(weight * factor * factor) + pull), 0
         self._age += 1
-        self._step_light(self._hessian, self._model.gradient(self.albedo, weight * (self._radiance(factor, rest) - y)))
+        residual = self._radiance(factor, rest) - y
+        self._step_light(self._hessian, self._model.gradient(self.albedo, weight * residual), (residual * self.derivative).abs().median())
 
-    def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor) -> None:
-        """Do a damped Gauss-Newton step of the light, by the Hessian (T, T) of each channel and the gradient (T, 3)."""
+    def _step_light(self, hessians: list[torch.Tensor], gradient: torch.Tensor, error: torch.Tensor) -> None:
+        """Do a damped Gauss-Newton step of the light, by the Hessian (T, T) of each channel, the gradient (T, 3), and the median error."""
         log_light = self.light.log()
-        step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.terms(self.light, self.error()))
+        step, self._curvature = damped_step(self.light, hessians, gradient, self._light_prior.terms(self.light, float(error)))
         self.light = self.transfer.texels.with_one_colour((log_light - step).clamp(*LOG_LIGHT_RANGE).exp())
         self._moved = float((self.light.log() - log_light).square().mean().sqrt())
 

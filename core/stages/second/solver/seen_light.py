@@ -17,7 +17,6 @@ import torch
 
 from ....io.srgb import decode_srgb
 from ....rendering.secondary_rays import SecondaryTracer
-from ....scene.camera import Camera
 from ....scene.dataset import Dataset, View, light_rotations
 from ....settings.schema import SecondStageSettings
 from ...common.training_view import MIN_SATURATED
@@ -34,7 +33,7 @@ DEVIATION = 0.3
 
 @dataclass(frozen=True, eq=False)
 class SeenLight:
-    """N pixels that show the distant light.
+    """N pixels that show the distant light, at least one.
 
     Attributes:
         direction: (N, 3) unit, from the camera.
@@ -59,9 +58,8 @@ class SeenLight:
             and the log radiance (T, 3). Where they do not tell, both are 0.
         """
         inside, log_radiance = texels.containing(self.direction), np.log(np.maximum(self.radiance, MIN_RADIANCE))
-        by_view, count = _means(
-            inside * (self.view.max(initial=0) + 1) + self.view, log_radiance, texels.count * (self.view.max(initial=0) + 1)
-        )
+        number_of_views = int(self.view.max()) + 1
+        by_view, count = _means(inside * number_of_views + self.view, log_radiance, texels.count * number_of_views)
         known = (count >= MIN_VIEW_PIXELS).reshape(texels.count, -1)
         views = known.sum(1)
         by_view = np.where(known[..., None], by_view.reshape(*known.shape, 3), 0)
@@ -103,18 +101,13 @@ def _seen_by(number: int, view: View, tracer: SecondaryTracer) -> tuple[np.ndarr
     away = cv2.distanceTransform((alpha < 1 / 255).astype(np.uint8), cv2.DIST_L2, 3) > MASK_MARGIN * side
     row, column = (index.ravel() for index in np.mgrid[step // 2 : camera.height : step, step // 2 : camera.width : step])
     row, column = row[away[row, column]], column[away[row, column]]
-    direction = _directions(camera)[row, column]
+    rays = camera.rays()[row, column]
+    direction = rays / np.linalg.norm(rays, axis=1, keepdims=True)
     origin = np.broadcast_to(camera.centre, direction.shape)
-    rays = (torch.from_numpy(array.astype(np.float32)).to(tracer.device) for array in (origin, direction))
-    free = tracer.look(*rays)[0].cpu().numpy() > MIN_TRANSMITTANCE
+    ends = (torch.from_numpy(array.astype(np.float32)).to(tracer.device) for array in (origin, direction))
+    free = tracer.look(*ends)[0].cpu().numpy() > MIN_TRANSMITTANCE
     colour = view.colour[row[free], column[free]]
     return direction[free], decode_srgb(colour.astype(np.float64)), (colour >= MIN_SATURATED).any(1), np.full(int(free.sum()), number)
-
-
-def _directions(camera: Camera) -> np.ndarray:
-    """Return the unit directions (H, W, 3) of the rays through a camera's pixels."""
-    rays = camera.rays().reshape(camera.height, camera.width, 3)
-    return rays / np.linalg.norm(rays, axis=-1, keepdims=True)
 
 
 def _means(group: np.ndarray, values: np.ndarray, groups: int) -> tuple[np.ndarray, np.ndarray]:

@@ -41,7 +41,7 @@ def photographs(count: int = 8) -> list[View]:
     for i in range(count):
         angle = 2 * np.pi * i / count
         camera = Camera(SIZE[1], SIZE[0], 45.0, 45.0, 32.0, 24.0, look_at((3 * np.cos(angle), 3 * np.sin(angle), 0.8)))
-        rays = camera.rays().reshape(*SIZE, 3)
+        rays = camera.rays()
         direction = rays / np.linalg.norm(rays, axis=-1, keepdims=True)
         alpha = np.zeros(SIZE, np.float32)
         alpha[16:32, 22:42] = 1.0
