@@ -9,9 +9,8 @@ given roughness and metallic, in the albedo a:
 where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and F0 S + S' the specular lobe in split-sum form: S is its
 scale (`f0_term`), S' its bias (`fresnel_term`; core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect
 light. The albedo is eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes
-Gauss-Newton steps, and roughness and metallic come from a grid search that is smoothed among neighbours of similar colour (metal:
-`metal_regions.py`). At the end the normals of metal turn towards its reflections (`metal_normals.py`), and roughness and light settle, the
-roughness with a prior from all points of like albedo (`roughness_prior.py`).
+Gauss-Newton steps, and roughness and metallic come from a grid search that is smoothed among neighbours of similar colour. At the end
+normals of metal turn towards its reflections, and roughness and light settle, see `metal_regions`, `metal_normals`, `roughness_prior`.
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -33,8 +32,8 @@ from .albedo_prior import ALBEDO_RANGE, CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBE
 from .light_prior import LightPrior
 from .linear_system import damped_step
 from .material_search import MaterialSearch
+from .metal_confirmation import Hypothesis, completed_metal, confirm_metal, measured_regions
 from .metal_normals import metal_trust, reflected_normals
-from .metal_regions import completed_metal, confirm_metal, regions_to_test
 from .multi_view_samples import MultiViewSamples
 from .radiance_transfer import RadianceTransfer
 from .sample_equation import CAUCHY_SCALE, approximate_srgb_derivative, robust_error
@@ -51,8 +50,7 @@ TEST_STEPS = 8  # steps in which the light adapts to each hypothesis of the test
 MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 # Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
 SPLIT_CAUCHY_FACTOR = 4.0
-TURN_STEPS = 4  # steps in which the light follows the turned normals of metal
-SETTLING_STEPS = 2  # steps in which the light follows each search of the roughness at the end
+TURN_STEPS, SETTLING_STEPS = 4, 2  # in which the light follows the turned normals of metal, and each search of the roughness at the end
 LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 
@@ -184,8 +182,7 @@ class LightMaterialSolver:
         The roughness of metal stays: it was found together with the normals.
         """
         before, metal = self.roughness, self.metallic > 0
-        likely = self._search.likely_roughness(self._costs(), metal, self.albedo)
-        self.roughness = torch.where(metal, before, likely)
+        self.roughness = torch.where(metal, before, self._search.likely_roughness(self._costs(), metal, self.albedo))
         self._follow(SETTLING_STEPS, SETTLING_WEIGHT)
         return float((self.roughness - before).square().mean().sqrt())
 
@@ -263,30 +260,34 @@ class LightMaterialSolver:
         if self._search_metal and done < METAL_TEST_STEP:
             metal = self.candidates = self.candidates | self._search.metal_candidates(costs)
         elif done == METAL_BORDERS_STEP:
-            weight = self.robust_weight * self.derivative**2
-            metal = completed_metal(self._search.redrawn_metal(costs, metal, self.light, weight), self._adapted)
+            redrawn = self._search.redrawn_metal(costs, metal, self.light, self.robust_weight * self.derivative**2)
+            metal = completed_metal(redrawn, self._adapted)
         # Sooner, the prior would settle on a roughness before the light does, see `roughness_prior`.
         self._set_materials(costs, metal, with_prior=done == MATERIAL_STEPS[-1])
 
     def _test_metal(self) -> None:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
-        without = self._adapted(torch.zeros_like(self.candidates))
-        metal, errors = self._adapted(self.candidates)
-        gain = without[1] - errors
-        regions = regions_to_test(self._search.regions(self._search.supported(self.candidates, gain)), metal.roughness, gain)
-        best, least, confirmed = confirm_metal(regions, without, self._adapted)
-        self.metal_gain = 1 - float(least.sum()) / max(float(without[1].sum()), 1e-30)
-        self.light, self.albedo, self.robust_weight = best.light, best.albedo, best.robust_weight
-        self.roughness, self.metallic, self.regions = best.roughness, best.metallic, (len(regions), confirmed)
+        without, whole = self._adapted(torch.zeros_like(self.candidates)), self._adapted(self.candidates)
+        gain = without.errors - whole.errors
+        regions = measured_regions(self._search.regions(self._search.supported(self.candidates, gain)), whole.solution.roughness, gain)
+        best = confirm_metal(regions, without, self._adapted, LightMaterialSolver._metal_colours)
+        self.metal_gain = 1 - float(best.errors.sum()) / max(float(without.errors.sum()), 1e-30)
+        for name in ("light", "albedo", "robust_weight", "roughness", "metallic"):
+            setattr(self, name, getattr(best.solution, name))
+        self.regions = len(regions), sum(bool((region.points & best.metal).any()) for region in regions)
         self._update_model()
 
-    def _adapted(self, metal: torch.Tensor) -> tuple[LightMaterialSolver, torch.Tensor]:
+    def _adapted(self, metal: torch.Tensor) -> Hypothesis[LightMaterialSolver]:
         """Return a copy whose light has adapted to the metal points `metal` (P,) bool, and its robust error of each point (P,)."""
         trial = copy.copy(self)
         trial._set_materials(trial._costs(), metal)
         for _ in range(TEST_STEPS):
             trial._step(STEPS)
-        return trial, trial._robust_errors()
+        return Hypothesis(metal, trial, trial._robust_errors())
+
+    def _metal_colours(self, metal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+        """Compare colours with those of the metal points `metal` (P,) bool, see `MaterialSearch.metal_colours`."""
+        return self._search.metal_colours(self._costs(), metal, self.light, self.robust_weight * self.derivative**2)
 
     def _costs(self) -> torch.Tensor:
         """Return the costs of materials under the current light, see `MaterialSearch.costs`."""
@@ -294,7 +295,6 @@ class LightMaterialSolver:
 
     def _set_materials(self, costs: torch.Tensor, metal: torch.Tensor, with_prior: bool = False) -> None:
         """Set which points are metal (P,) bool, and the roughness of least cost, or the most likely one `with_prior`."""
-        search = self._search
-        self.roughness = search.likely_roughness(costs, metal, self.albedo) if with_prior else search.roughness(costs, metal)
+        self.roughness = self._search.likely_roughness(costs, metal, self.albedo) if with_prior else self._search.roughness(costs, metal)
         self.metallic = metal.to(self.metallic)
         self._update_model()

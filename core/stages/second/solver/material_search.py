@@ -116,6 +116,23 @@ class MaterialSearch:
             gain = self._smoothed(gain)
         return candidates & (gain > MIN_SUPPORT_GAIN * self._views)
 
+    def metal_colours(
+        self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, weight: torch.Tensor
+    ) -> tuple[torch.Tensor, torch.Tensor]:
+        """Compare the points' colours with those of metal, and find points that would be too dark for it; see `metal_colours`.
+
+        Args:
+            costs: (P, M, J), see `costs`.
+            metal: (P,) bool, metal so far, at least one point.
+            light: (T, 3) linear radiance of the texels.
+            weight: (K, 3) of the samples, with which the albedo is fitted.
+
+        Returns:
+            The evidence for metal (P,), and whether a point is too dark (P,) bool.
+        """
+        as_metal, as_dielectric = (self._fitted_albedo(costs, light, weight, kind(metal)) for kind in (torch.ones_like, torch.zeros_like))
+        return colour_evidence(as_metal, as_dielectric, metal), too_dark(as_metal, metal)
+
     def redrawn_metal(self, costs: torch.Tensor, metal: torch.Tensor, light: torch.Tensor, weight: torch.Tensor) -> torch.Tensor:
         """Redraw the borders of metal by costs that are known better now, see `cut_metal`.
 

@@ -14,7 +14,7 @@ from irgspp.core.kernels.lobes import TracedDirections
 from irgspp.core.stages.second.solver import light_material_solver as module
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
 from irgspp.core.stages.second.solver.light_texels import LightTexels
-from irgspp.core.stages.second.solver.metal_regions import MIN_REGION_GAIN, completed_metal
+from irgspp.core.stages.second.solver.metal_confirmation import MIN_REGION_GAIN, Hypothesis, completed_metal
 from irgspp.core.stages.second.solver.radiance_transfer import RadianceTransfer
 from irgspp.core.stages.second.solver.sample_radiance import SampleRadiance
 from irgspp.core.stages.second.solver.solver_run import run_solver
@@ -220,7 +220,7 @@ def test_a_metal_object_is_metal_as_a_whole_unless_a_part_contradicts(scene, mon
     solver = LightMaterialSolver(seen, transfer, torch.full((count,), 0.5), torch.zeros(count), 0)
     metal = torch.arange(count) > 0.1 * count
     errors = lambda points: torch.ones(count) * (1 + loss * MIN_REGION_GAIN * float(points.all()))  # noqa: E731
-    monkeypatch.setattr(solver, "_adapted", lambda points: (solver, errors(points)))
+    monkeypatch.setattr(solver, "_adapted", lambda points: Hypothesis(points, solver, errors(points)))
     completed = completed_metal(metal, solver._adapted)
     assert torch.equal(completed, torch.ones_like(metal) if whole else metal)
 

@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Regions are metal if the photographs are explained better so; those with the colours of such metal need less."""
+
+import pytest
+import torch
+from irgspp.core.stages.second.solver.metal_confirmation import (
+    LIKE_METAL_GAIN,
+    MAX_METAL_ROUGHNESS,
+    MIN_GAIN_PER_SHARE,
+    MIN_REGION_GAIN,
+    MIN_SHARP_REGION_GAIN,
+    MIN_SMALL_REGION_GAIN,
+    SHARP_ROUGHNESS,
+    Hypothesis,
+    MetalRegion,
+    confirm_metal,
+    measured_regions,
+)
+
+NONE = torch.zeros(60, dtype=torch.bool)
+
+
+def masks(*ranges):
+    """Masks of 60 points."""
+    return [(torch.arange(60) >= begin) & (torch.arange(60) < end) for begin, end in ranges]
+
+
+def rough(points):
+    """Region whose reflections are not sharp."""
+    return MetalRegion(points, SHARP_ROUGHNESS + 0.1)
+
+
+def adapted(errors):
+    """Function that adapts to metal; `errors` are those that follow from it."""
+    return lambda metal: Hypothesis(metal, None, errors(metal))
+
+
+def unlike(solution, metal):
+    """Colours that are those of no metal."""
+    return torch.full((len(metal),), -1.0), torch.zeros_like(metal)
+
+
+def confirmed(regions, adapt, colours=unlike):
+    """The points that are metal in the end."""
+    return confirm_metal(regions, adapt(torch.zeros_like(regions[0].points)), adapt, colours).metal
+
+
+def test_a_region_of_rough_metal_is_not_sharp():
+    roughness = torch.full((60,), 0.9)
+    roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
+    regions, gain = masks((0, 10), (30, 40)), torch.ones(60)
+    first, second = measured_regions(regions, roughness, gain)
+    assert first.is_sharp and not second.is_sharp
+    assert first.points.equal(regions[0]) and first.roughness == pytest.approx(0.3)
+    assert all(region.is_sharp for region in measured_regions(regions, torch.full((60,), MAX_METAL_ROUGHNESS), gain))
+
+
+def test_the_points_that_gain_most_tell_how_sharp_a_region_is():
+    def is_sharp():
+        return measured_regions(masks((10, 20)), roughness, gain)[0].is_sharp
+
+    roughness, gain = torch.full((60,), 0.9), torch.full((60,), 0.1)
+    roughness[10:13], gain[10:13] = 0.3, 2.0
+    assert is_sharp()
+    gain[10:13] = -5.0  # a loss counts as no gain
+    assert not is_sharp()
+    gain[:] = 0
+    assert not is_sharp()
+
+
+def test_regions_are_confirmed_by_what_they_gain():
+    """A model whose error falls by 1 at true metal, rises by 1 at false metal, and falls elsewhere for a third region."""
+    true, false, misleading = masks((0, 20), (20, 30), (30, 35))
+    asked = []
+
+    def errors(metal):
+        asked.append(metal)
+        return torch.full((60,), 2.0) - (metal & true).float() + (metal & false).float() - 0.9 * float((metal & misleading).any())
+
+    adapt = adapted(errors)
+    found = confirm_metal([rough(region) for region in (true, false, misleading)], adapt(NONE), adapt, unlike)
+    assert torch.equal(found.metal, true | misleading)
+    assert [int(metal.sum()) for metal in asked] == [0, 20, 30, 25]  # each region beside those that are confirmed
+    assert torch.equal(found.errors, errors(found.metal))
+
+
+def test_region_must_gain_itself_and_in_all():
+    region, rest = masks((0, 20), (20, 60))
+
+    def is_metal(own, other):
+        adapt = adapted(lambda metal: 2.0 + metal.any() * (own * region.float() + other * rest.float()))
+        return bool(confirmed([rough(region)], adapt).any())
+
+    assert is_metal(-1, 0.1)
+    assert not is_metal(-1, 0.6)  # the others lose more
+    assert not is_metal(0.1, -1)  # only the others gain
+
+
+@pytest.mark.parametrize(
+    ("points", "needed"),
+    [(1, MIN_REGION_GAIN), (20, MIN_GAIN_PER_SHARE * 20 / 60), (30, MIN_GAIN_PER_SHARE * 30 / 60), (40, MIN_REGION_GAIN)],
+)
+def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
+    (region,) = masks((0, points))
+
+    def is_metal(gain):
+        """Whether the region is metal if that takes this share off all errors, which are 120."""
+        adapt = adapted(lambda metal: 2.0 - 120 * gain / points * metal.any() * region.float())
+        return bool(confirmed([rough(region)], adapt).any())
+
+    assert is_metal(1.1 * needed)
+    assert not is_metal(0.9 * needed)
+
+
+@pytest.mark.parametrize(
+    ("points", "roughness", "needed"),
+    [
+        (4, 0.6, MIN_SMALL_REGION_GAIN),
+        (8, 0.6, 0.008),
+        (20, 0.6, MIN_REGION_GAIN),
+        (4, SHARP_ROUGHNESS, MIN_SHARP_REGION_GAIN),
+        (20, SHARP_ROUGHNESS, MIN_GAIN_PER_SHARE * 0.02),
+        (100, SHARP_ROUGHNESS, MIN_GAIN_PER_SHARE * 0.1),
+    ],
+)
+def test_small_regions_need_their_share_but_a_least_gain_and_sharp_ones_less(points, roughness, needed):
+    region = torch.arange(1000) < points
+    without = torch.where(region, 100 / points, 900 / (1000 - points))
+
+    def is_metal(gain):
+        """Whether the region is metal if that takes this share off all errors, which are 1000."""
+        adapt = adapted(lambda metal: without - metal.any() * region * 1000 * gain / points)
+        return bool(confirmed([MetalRegion(region, roughness)], adapt).any())
+
+    assert is_metal(1.1 * needed)
+    assert not is_metal(0.9 * needed)
+
+
+def test_region_that_cannot_gain_enough_is_not_tested():
+    asked = []
+
+    def errors(metal):
+        asked.append(metal)
+        return torch.where(torch.arange(60) < 4, 0.01, 2.0)
+
+    assert not confirmed([rough(points) for points in masks((0, 4))], adapted(errors)).any()
+    assert len(asked) == 1  # without metal
+
+
+def like(*points, dark=NONE):
+    """Colours that are like metal at some points."""
+    evidence = torch.full((60,), -1.0)
+    for some in points:
+        evidence[some] = 1.0
+    return lambda solution, metal: (evidence, dark)
+
+
+def test_regions_with_the_colours_of_metal_need_less_and_may_be_rough():
+    """The second region is too rough, the third gains too little; a fourth with other colours stays."""
+    regions = masks((0, 10), (20, 30), (30, 40), (40, 50))
+    gains = (10.0, *3 * (1.2 * LIKE_METAL_GAIN * MIN_GAIN_PER_SHARE * 120 * 10 / 60,))
+    adapt = adapted(lambda metal: 2.0 - sum(gain / 10 * (metal & region).float() for region, gain in zip(regions, gains, strict=True)))
+    sharp, too_rough = SHARP_ROUGHNESS, MAX_METAL_ROUGHNESS + 0.1
+    tested = [MetalRegion(region, value) for region, value in zip(regions, (sharp, too_rough, sharp, sharp), strict=True)]
+    assert torch.equal(confirmed(tested, adapt), regions[0])
+    assert torch.equal(confirmed(tested, adapt, like(*regions[1:3])), regions[0] | regions[1] | regions[2])
+    assert torch.equal(confirmed(tested, adapt, like(*regions[1:3], dark=regions[1])), regions[0] | regions[2])
+
+
+def test_colours_tell_nothing_without_other_metal():
+    (region,) = masks((0, 10))
+    adapt = adapted(lambda metal: 2.0 - 1.5 * (metal & region).float())
+    too_rough = MetalRegion(region, MAX_METAL_ROUGHNESS + 0.1)
+    assert not confirmed([too_rough], adapt, like(region)).any()
