@@ -73,7 +73,7 @@ def surface_pixels(image: torch.Tensor, rays: torch.Tensor, threshold: float = R
 @cache
 def _tables(device: torch.device) -> tuple[torch.Tensor, torch.Tensor]:
     """Return the roughness of each level (L,) and the table of the BRDF (T, T, 2) on a device."""
-    return level_roughness().to(device), brdf_table().to(device)
+    return level_roughness().to(device), brdf_table("principled").to(device)
 
 
 def _shaded(

@@ -15,7 +15,7 @@ SAMPLES = 512  # per entry of the table: errors of 2e-4; twice as many would add
 
 
 @cache
-def brdf_table(brdf: Brdf = "principled") -> torch.Tensor:
+def brdf_table(brdf: Brdf) -> torch.Tensor:
     """Return the scale and the bias of F0 in the specular albedo of a BRDF, (TABLE, TABLE, 2).
 
     Rows are roughness, columns n.v, both from 0 to 1 inclusive. Each entry is the mean over SAMPLES visible normals of
