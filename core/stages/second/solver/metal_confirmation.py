@@ -35,6 +35,7 @@ MIN_GAIN_PER_SHARE = 0.3
 # confirmed so, with gains of .0010 to .0125; the others have 4 or 5 points. The two without metal, of 6 and 16 points, gained .0014 and
 # .0013; the smaller one is confirmed.
 LIKE_METAL_GAIN = 0.5
+MIN_EVIDENCE = 0.1  # mean evidence by colours from which a region's colours are those of metal, see `colour_evidence`
 MAX_DARK_SHARE = 0.5  # share of a region's points that are too dark for metal, from which its colours are not those of metal
 # Median roughness above which a region is not tested, each point weighted by its gain: where the surface is wrong, in gaps and at contacts,
 # rough metal explains shadows better. Of 33 false regions on five objects, 21 had .78 to .85, and the others gained .0015 at most; 15
@@ -157,7 +158,8 @@ def _confirm_in_turn(regions: list[MetalRegion], start: Hypothesis[Solution], ad
             continue
         trial = adapt(best.metal | points)
         gain = best.errors - trial.errors
-        if min(float(gain[points].sum()), float(gain.sum())) > needed:
+        own, total = float(gain[points].sum()), float(gain.sum())
+        if own > needed and total > (0 if region.like_metal else needed):
             best = trial
     return best
 
@@ -169,4 +171,4 @@ def _like_metal(regions: list[MetalRegion], metal: torch.Tensor, evidence: torch
         return float(values[region.points].float().mean())
 
     others = [region._replace(like_metal=True) for region in regions if not bool((region.points & metal).any())]
-    return [region for region in others if mean(evidence, region) > 0 and mean(dark, region) < MAX_DARK_SHARE]
+    return [region for region in others if mean(evidence, region) > MIN_EVIDENCE and mean(dark, region) < MAX_DARK_SHARE]

@@ -6,6 +6,7 @@ import torch
 from irgspp.core.stages.second.solver.metal_confirmation import (
     LIKE_METAL_GAIN,
     MAX_METAL_ROUGHNESS,
+    MIN_EVIDENCE,
     MIN_GAIN_PER_SHARE,
     MIN_REGION_GAIN,
     MIN_SHARP_REGION_GAIN,
@@ -147,11 +148,11 @@ def test_region_that_cannot_gain_enough_is_not_tested():
     assert len(asked) == 1  # without metal
 
 
-def like(*points, dark=NONE):
+def like(*points, dark=NONE, evidence_there=1.0):
     """Colours that are like metal at some points."""
     evidence = torch.full((60,), -1.0)
     for some in points:
-        evidence[some] = 1.0
+        evidence[some] = evidence_there
     return lambda solution, metal: (evidence, dark)
 
 
@@ -165,6 +166,20 @@ def test_regions_with_the_colours_of_metal_need_less_and_may_be_rough():
     assert torch.equal(confirmed(tested, adapt), regions[0])
     assert torch.equal(confirmed(tested, adapt, like(*regions[1:3])), regions[0] | regions[1] | regions[2])
     assert torch.equal(confirmed(tested, adapt, like(*regions[1:3], dark=regions[1])), regions[0] | regions[2])
+    assert torch.equal(confirmed(tested, adapt, like(*regions[1:3], evidence_there=0.9 * MIN_EVIDENCE)), regions[0])
+
+
+def test_regions_with_the_colours_of_metal_may_cost_others_less_than_they_gain():
+    first, second, rest = masks((0, 10), (20, 30), (30, 60))
+
+    def confirms_second(loss):
+        """Whether the second region is metal if it gains 3.6 of 110, which is enough, and the rest loses so much."""
+        adapt = adapted(lambda metal: 2.0 - metal * (first + 0.36 * second) + float((metal & second).any()) * loss / 30 * rest)
+        regions = [MetalRegion(region, SHARP_ROUGHNESS) for region in (first, second)]
+        return bool((confirmed(regions, adapt, like(second)) & second).any())
+
+    assert confirms_second(3.5)
+    assert not confirms_second(3.7)
 
 
 def test_colours_tell_nothing_without_other_metal():
