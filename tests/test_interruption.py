@@ -27,8 +27,9 @@ SHORT = (
     "materials=low-gloss",
     "first.iterations=80",
     "first.gaussians=2000",
-    "second.points=300",
-    "second.rows=8",
+    "second.points=100",
+    "second.rows=4",
+    "second.views=4",
     "second.iterations=14",
     "second.pool=3000",
     "second.radiance_iterations=12",
@@ -37,8 +38,8 @@ SHORT = (
     "surface.triangles=1000",
     "surface.texture=64",
 )
-FEW = ("first.iterations=4", "first.stereo=on", "second.points=200", "second.iterations=4", "second.pool=1000", "second.pixels=32")
-FEW += ("second.radiance_iterations=4", "second.normal_iterations=4")
+FEW = ("first.iterations=4", "first.stereo=on", "second.points=100", "second.views=4", "second.iterations=4", "second.pixels=32")
+FEW += ("second.pool=1000", "second.radiance_iterations=4", "second.normal_iterations=4")
 STOP, KEEP = 66, 60  # density control, in step 48, lies before them
 
 

@@ -36,7 +36,7 @@ LIGHTS = {
 WRONG = 0.25  # smallest mean error of a rotated or mirrored light, as RIGHT is the largest of the right one; measured: 0.31 and more
 TINY = (
     "materials=low-gloss", "first.stereo=off", "first.iterations=60", "first.gaussians=2000", "first.light_height=8", "surface.voxels=44",
-    "second.points=400", "second.rows=4", "second.iterations=2", "second.pixels=32", "second.samples=8",
+    "second.points=150", "second.views=4", "second.rows=4", "second.iterations=2", "second.pixels=32", "second.samples=8",
     "second.pool=1000", "second.radiance_iterations=4", "second.light_height=8", "surface.triangles=400", "surface.texture=16",
     "second.normal_iterations=4", "data.holdout=4",
 )  # fmt: skip

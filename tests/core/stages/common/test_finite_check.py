@@ -30,7 +30,14 @@ SETTINGS = [
     "surface.voxels=32",
     "surface.texture=64",
 ]
-SETTINGS += ["second.points=300", "second.rows=4", "second.iterations=4", "second.pool=2000", "second.radiance_iterations=4"]
+SETTINGS += [
+    "second.points=100",
+    "second.views=4",
+    "second.rows=4",
+    "second.iterations=4",
+    "second.pool=2000",
+    "second.radiance_iterations=4",
+]
 SETTINGS += ["second.normal_iterations=4"]
 FINISHED = {"read", "first stage", "geometry"}  # phases before the second stage
 FAULT = 5  # the iteration in which a value becomes non-finite
