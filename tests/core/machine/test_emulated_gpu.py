@@ -18,7 +18,7 @@ SCENE = small_scene("bowl")  # it has half as many views as the demo's
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
 TINY = [
     "materials=glossy", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
-    "first.trial_gaussians=400", "second.points=80", "second.rows=6", "second.views=4", "second.iterations=4",
+    "first.trial_gaussians=400", "second.points=150", "second.rows=6", "second.views=4", "second.iterations=4",
     "second.pixels=32", "second.samples=8", "second.pool=1000", "second.radiance_iterations=3", "second.normal_iterations=8",
     "surface.voxels=40", "surface.triangles=1000", "surface.texture=64",
 ]  # fmt: skip
