@@ -9,7 +9,7 @@ import torch
 
 from ....shading.specular_albedo import diffuse_fraction
 from .metal_colours import colour_evidence, too_dark
-from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, MAX_EVIDENCE, SEARCHED_NORMALS_PRIOR, cut_metal, within_rings
+from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, MAX_EVIDENCE, NEIGHBOUR_COUPLING, SEARCHED_NORMALS_PRIOR, cut_metal, least_cut
 from .metal_normals import turned_metal
 from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
 from .multi_view_samples import MultiViewSamples
@@ -154,8 +154,9 @@ class MaterialSearch:
     ) -> torch.Tensor:
         """Redraw the borders of metal by searched normals and colours, too: wrong normals make a part of it look like a dielectric.
 
-        A metal's error is the geometric mean of that with the surface's normal and that with the best one near it. By the latter alone,
-        metal spread to what mirrors it.
+        All points may become metal, since parts that no test has found have the colours of those that were. A metal's error is the
+        geometric mean of that with the surface's normal and that with the best one near it. By the latter alone, metal spread to what
+        mirrors it.
 
         Args:
             costs: (P, M, J), see `costs`.
@@ -164,19 +165,16 @@ class MaterialSearch:
             weight: (K, 3) of the samples, with which the albedo of dielectrics is fitted.
             surface_normal: (P, 3) unit normals of the surface.
         """
-        near = within_rings(metal, self._neighbours)
-        samples, transfer = self.samples.subset(near), self.transfer.subset(near)
-        turned, as_metal = turned_metal(samples, transfer, light, surface_normal[near], metal[near])
-        dielectric, conductor = (least[near] / self._views + NOISE_ERROR for least in self._least(costs))
+        turned, as_metal = turned_metal(self.samples, self.transfer, light, surface_normal, metal)
+        dielectric, conductor = (least / self._views + NOISE_ERROR for least in self._least(costs))
         by_error = dielectric.log() - (conductor.log() + (turned + NOISE_ERROR).log()) / 2
-        as_dielectric = self._fitted_albedo(costs, light, weight, torch.zeros_like(metal))[near]
-        dark = too_dark(as_metal, metal[near])
-        evidence, grown = light.new_zeros(len(metal)), metal
+        as_dielectric = self._fitted_albedo(costs, light, weight, torch.zeros_like(metal))
+        dark, grown = too_dark(as_metal, metal), metal
         for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
-            by_colour = COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown[near])
-            evidence[near] = torch.where(dark, -MAX_EVIDENCE, by_error + by_colour)
-            grown = cut_metal(evidence, metal, self._neighbours, self._similarity, SEARCHED_NORMALS_PRIOR)
-        return grown
+            evidence = by_error + COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown) + SEARCHED_NORMALS_PRIOR
+            grown = least_cut(torch.where(dark, -MAX_EVIDENCE, evidence), self._neighbours, self._similarity, NEIGHBOUR_COUPLING)
+        regions = self.regions(grown)  # a few points alone are no part
+        return torch.stack(regions).any(0) if regions else torch.zeros_like(metal)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""

@@ -10,7 +10,8 @@ steps (called by `LightMaterialSolver`):
 2. Before the test, light and albedo adapt to the candidates. Those that metal does not explain better then are dropped (MIN_SUPPORT_GAIN).
    Without this, metal spread in the shadow from a belt to the skin around it.
 3. The test: each connected region counts as metal only if the photographs are explained clearly better so, see `metal_confirmation`.
-4. A graph cut draws the borders of the confirmed regions anew, see `metal_cut`; at the end by their tint, too, see `metal_colours`.
+4. A graph cut draws the borders of the confirmed regions anew, see `metal_cut`; at the end by their tint, too, see `metal_colours`. Then
+   parts that were missed become metal where they have that tint.
 """
 
 from __future__ import annotations
