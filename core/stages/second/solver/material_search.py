@@ -173,8 +173,7 @@ class MaterialSearch:
         for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
             evidence = by_error + COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown) + SEARCHED_NORMALS_PRIOR
             grown = least_cut(torch.where(dark, -MAX_EVIDENCE, evidence), self._neighbours, self._similarity, NEIGHBOUR_COUPLING)
-        regions = self.regions(grown)  # a few points alone are no part
-        return torch.stack(regions).any(0) if regions else torch.zeros_like(metal)
+        return grown
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""
