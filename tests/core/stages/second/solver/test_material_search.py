@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.stages.second.solver import metal_cut
 from irgspp.core.stages.second.solver.material_search import METAL_ROUGHNESS_COUNT, MaterialSearch
 from irgspp.core.stages.second.solver.metal_colours import DARK_METAL
 from irgspp.core.stages.second.solver.sample_equation import approximate_srgb_derivative
@@ -82,6 +83,16 @@ def test_what_would_be_dark_metal_stays_outside_its_borders(searched, borders):
     darkened, colour = copy.copy(search), search.samples.colour
     darkened.samples = replace(search.samples, colour=torch.where(rubber[search.samples.point, None], dark * colour, colour))
     assert torch.equal(borders(darkened, cost, metal), metal & ~rubber)
+
+
+def test_metal_that_is_far_from_the_metal_found_is_told_by_its_colours(searched, monkeypatch):
+    """The test of regions found the top of the metal sphere alone; as the sphere has few points, less is near."""
+    monkeypatch.setattr(metal_cut, "MAX_RINGS", 1)
+    search, cost, (_, _, metallic) = searched
+    metal, height = metallic > 0, search.samples.position[:, 2]
+    top = metal & (height > height[metal].quantile(0.9))
+    assert float(redrawn(search, cost, top)[metal].float().mean()) < 0.8  # the rest is out of reach
+    assert torch.equal(grown(search, cost, top), metal)
 
 
 def test_costs_of_metals_are_left_out_where_there_are_none(searched):
