@@ -70,7 +70,7 @@ class LightMaterialSolver:
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
         start_albedo: albedo of all points in the first steps: MEDIUM_ALBEDO, or DARK_ALBEDO where that explained the photographs better.
-        regions: number of regions that were tested, and of those that are metal.
+        regions: number of regions of candidates, and of those that are metal.
         metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
 

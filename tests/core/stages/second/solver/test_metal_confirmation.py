@@ -51,22 +51,22 @@ def test_a_region_of_rough_metal_is_not_sharp():
     roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
     regions, gain = masks((0, 10), (30, 40)), torch.ones(60)
     first, second = measured_regions(regions, roughness, gain)
-    assert first.is_sharp and not second.is_sharp
+    assert first.is_sharp_enough and not second.is_sharp_enough
     assert first.points.equal(regions[0]) and first.roughness == pytest.approx(0.3)
-    assert all(region.is_sharp for region in measured_regions(regions, torch.full((60,), MAX_METAL_ROUGHNESS), gain))
+    assert all(region.is_sharp_enough for region in measured_regions(regions, torch.full((60,), MAX_METAL_ROUGHNESS), gain))
 
 
 def test_the_points_that_gain_most_tell_how_sharp_a_region_is():
-    def is_sharp():
-        return measured_regions(masks((10, 20)), roughness, gain)[0].is_sharp
+    def sharp_enough():
+        return measured_regions(masks((10, 20)), roughness, gain)[0].is_sharp_enough
 
     roughness, gain = torch.full((60,), 0.9), torch.full((60,), 0.1)
     roughness[10:13], gain[10:13] = 0.3, 2.0
-    assert is_sharp()
+    assert sharp_enough()
     gain[10:13] = -5.0  # a loss counts as no gain
-    assert not is_sharp()
+    assert not sharp_enough()
     gain[:] = 0
-    assert not is_sharp()
+    assert not sharp_enough()
 
 
 def test_regions_are_confirmed_by_what_they_gain():
