@@ -9,8 +9,8 @@ given roughness and metallic, in the albedo a:
 where E is irradiance / pi, E_s the specular albedo of a dielectric coat, and F0 S + S' the specular lobe in split-sum form: S is its
 scale (`f0_term`), S' its bias (`fresnel_term`; core/kernels/lobes.py). E, S and S' are each a row times L plus a constant from indirect
 light. The albedo is eliminated in closed form (variable projection, Golub and Pereyra 1973), the logarithm of the light takes
-Gauss-Newton steps, and roughness and metallic come from a grid search that is smoothed among neighbours of similar colour. At the end
-normals of metal turn towards its reflections, and roughness and light settle, see `metal_regions`, `metal_normals`, `roughness_prior`.
+Gauss-Newton steps, roughness and metallic come from a grid search, smoothed among neighbours of similar colour (`metal_regions`). At the
+end normals of metal turn towards its reflections (`metal_normals`), and roughness and light settle (`roughness_prior`).
 
 "Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
 from the radiance itself would keep all shading.
@@ -50,7 +50,7 @@ TEST_STEPS = 8  # steps in which the light adapts to each hypothesis of the test
 MAX_HESSIAN_AGE, MAX_HESSIAN_STEP = 4, 0.15
 # Factor of CAUCHY_SCALE after a split of the light, which halves with each step: at first, highlights would count as outliers.
 SPLIT_CAUCHY_FACTOR = 4.0
-TURN_STEPS, SETTLING_STEPS = 4, 2  # in which the light follows the turned normals of metal, and each search of the roughness at the end
+TURN_STEPS, SETTLING_STEPS = 4, 2  # steps in which the light follows turned normals of metal, and each search of the roughness at the end
 LOG_LIGHT_RANGE = (-9, 7)  # of a texel's log radiance
 Split = Callable[[RadianceTransfer, torch.Tensor], tuple[RadianceTransfer, np.ndarray]]  # see `split_brightest`
 

@@ -31,12 +31,14 @@ SHARP_ROUGHNESS, MIN_SHARP_REGION_GAIN = 0.5, 0.0015
 # gained 0.23 and 0.27 times their share in fewer steps; regions of metal on four scenes, 0.35 times and more.
 MIN_GAIN_PER_SHARE = 0.3
 # Share of a sharp region's least gain that is enough where colours are those of metal. In 13 runs of the solver, on capture_ogre and on a
-# toy car, captured and with masks, 21 regions had such colours and were not confirmed before. 19 were mostly metal: 15 of them are
-# confirmed so, with gains of .0010 to .0125; the others have 4 or 5 points. The two without metal, of 6 and 16 points, gained .0014 and
-# .0013; the smaller one is confirmed. In all, such a region must gain something alone: the errors of other points waver by up to .003. Part
-# of an arm ring of capture_ogre gained .0032, of which the others lost .0026.
+# toy car, captured and with masks, 21 regions that were not confirmed before had evidence above 0 by their colours. 19 were mostly metal:
+# 16 of them are confirmed so, and gained .0010 to .0125; the others have 4 points. The two without metal, of 6 and 16 points, gained .0014
+# and .0013; the smaller one is confirmed. In all, such a region must gain something alone: the errors of other points waver by up to .003.
+# Part of an arm ring of capture_ogre gained .0032, of which the others lost .0026.
 LIKE_METAL_GAIN = 0.5
-MIN_EVIDENCE = 0.1  # mean evidence by colours from which a region's colours are those of metal, see `colour_evidence`
+# Mean evidence from which a region's colours are those of metal, see `colour_evidence`. Thirteen regions of metal had .24 and more, one of
+# 4 points had .02. A region of 33 points without metal had 0, and gained .0024; another one had .59, but gained too little.
+MIN_EVIDENCE = 0.1
 MAX_DARK_SHARE = 0.5  # share of a region's points that are too dark for metal, from which its colours are not those of metal
 # Median roughness above which a region is not tested, each point weighted by its gain: where the surface is wrong, in gaps and at contacts,
 # rough metal explains shadows better. Of 33 false regions on five objects, 21 had .78 to .85, and the others gained .0015 at most; 15

@@ -85,6 +85,16 @@ def test_what_would_be_dark_metal_stays_outside_its_borders(searched, borders):
     assert torch.equal(borders(darkened, cost, metal), metal & ~rubber)
 
 
+def test_colours_of_metal_are_told_from_those_of_the_rest(searched):
+    """Half of the metal sphere counts as metal."""
+    search, cost, (_, _, metallic) = searched
+    metal, height = metallic > 0, search.samples.position[:, 2]
+    half = metal & (height > height[metal].median())
+    evidence, dark = search.metal_colours(cost, half, make()[2][0], torch.ones_like(search.samples.colour))
+    assert evidence[metal & ~half].mean() > 1 and evidence[~metal].mean() < -1
+    assert not dark[metal].any()
+
+
 def test_metal_that_is_far_from_the_metal_found_is_told_by_its_colours(searched, monkeypatch):
     """The test of regions found the top of the metal sphere alone; as the sphere has few points, less is near."""
     monkeypatch.setattr(metal_cut, "MAX_RINGS", 1)
