@@ -11,7 +11,7 @@ from ....shading.specular_albedo import diffuse_fraction
 from .metal_colours import colour_evidence, too_dark
 from .metal_cut import COLOUR_PASSES, COLOUR_WEIGHT, MAX_EVIDENCE, NEIGHBOUR_COUPLING, SEARCHED_NORMALS_PRIOR, cut_metal, least_cut
 from .metal_normals import turned_metal
-from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood
+from .metal_regions import MIN_SUPPORT_GAIN, SUPPORT_PASSES, connected_regions, grow_metal, neighbourhood, often_seen
 from .multi_view_samples import MultiViewSamples
 from .parabola import parabola_minimum
 from .radiance_transfer import DiffuseRows, RadianceTransfer
@@ -156,7 +156,7 @@ class MaterialSearch:
 
         All points may become metal, since parts that no test has found have the colours of those that were. A metal's error is the
         geometric mean of that with the surface's normal and that with the best one near it. By the latter alone, metal spread to what
-        mirrors it.
+        mirrors it. Regions that few views show are dropped.
 
         Args:
             costs: (P, M, J), see `costs`.
@@ -173,7 +173,7 @@ class MaterialSearch:
         for _ in range(COLOUR_PASSES):  # the colours of metal are known better when its borders are
             evidence = by_error + COLOUR_WEIGHT * colour_evidence(as_metal, as_dielectric, grown) + SEARCHED_NORMALS_PRIOR
             grown = least_cut(torch.where(dark, -MAX_EVIDENCE, evidence), self._neighbours, self._similarity, NEIGHBOUR_COUPLING)
-        return grown
+        return often_seen(grown, self.samples.lengths, self._neighbours, self._similarity)
 
     def regions(self, metal: torch.Tensor) -> list[torch.Tensor]:
         """Split points (P,) bool into connected regions, see `connected_regions`."""

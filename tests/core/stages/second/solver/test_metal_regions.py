@@ -10,6 +10,7 @@ from irgspp.core.stages.second.solver.metal_regions import (
     connected_regions,
     grow_metal,
     neighbourhood,
+    often_seen,
 )
 
 
@@ -49,6 +50,14 @@ def test_regions_are_connected_by_colour_and_place():
     found = [torch.nonzero(region)[:, 0].tolist() for region in connected_regions(metal, *row(60, colour))]
     assert found == [list(range(10)), list(range(30, 36)), list(range(25, 30))]  # the largest first; two points are too few
     assert connected_regions(torch.zeros(60, dtype=torch.bool), *row(60)) == []
+
+
+def test_regions_that_few_views_show_are_dropped():
+    metal, views = torch.zeros(60, dtype=torch.bool), torch.full((60,), 8)
+    metal[:10] = metal[30:40] = metal[59] = True
+    views[30:40], views[:3], views[59] = 4, 3, 4  # all of a region, some of another, and a point alone
+    assert torch.nonzero(often_seen(metal, views, *row(60)))[:, 0].tolist() == list(range(10))
+    assert torch.equal(often_seen(metal, views.clamp(max=4), *row(60)), metal)  # where no point has more views, these are enough
 
 
 def test_neighbours_are_near_and_count_by_likeness_of_colour():
