@@ -32,6 +32,25 @@ def views_through(points: np.ndarray, maps: Sequence[DepthMap], tolerance: float
     return count
 
 
+def views_of(points: np.ndarray, cameras: Sequence[Camera], depths: Sequence[np.ndarray], tolerance: float) -> np.ndarray:
+    """Count the views that see points of a surface: its depth at the point's pixel is the point's own.
+
+    Args:
+        points: (N, 3) world.
+        cameras: cameras of the views.
+        depths: (H, W) depth of the surface in each view; 0: none.
+        tolerance: difference of depth, world units, up to which a depth is the point's own.
+
+    Returns:
+        (N,) number of views.
+    """
+    count = np.zeros(len(points), np.int32)
+    for camera, image in zip(cameras, depths, strict=True):
+        inside, row, column, depth = _in_view(points, camera)
+        count[inside] += np.abs(image[row, column] - depth) <= tolerance
+    return count
+
+
 def in_free_space(
     points: OrientedPoints, maps: Sequence[DepthMap], nearest: Sequence[float], tolerance: float, min_support: int
 ) -> np.ndarray:

@@ -16,7 +16,6 @@ from .start_trials import StartTrials
 from .stereo_initialization import StereoStart, from_stereo
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
-MIN_OPENED = 0.02  # share of the surfels that open gaps leave out of the hull, below which they make no difference
 # PSNR in dB on held-back views by which a trial fit with open gaps must be better: more than noise. A pine cone gains .6, a plain cup .4;
 # four objects gain nothing to speak of, and suzanne_mixed loses .7.
 OPEN_MARGIN = 0.2
@@ -58,8 +57,8 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
         progress.phase("start", settings.first.trial_iterations)
         score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, may_give_up=True)
     best = max(found, key=lambda one: score[one.name]) if score else found[-1]
-    if tried and best.opened is not None:
-        best = _opened_where_better(best, best.opened(), starts, score, trials, progress)
+    if tried and best.opened is not None and (opened := best.opened()) is not None:
+        best = _opened_where_better(best, opened, starts, score, trials, progress)
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))
     return starts[best.name] if on else hull
@@ -78,8 +77,6 @@ def _opened_where_better(
         trials: trial fits of the object.
         progress: receives steps, and may cancel.
     """
-    if opened.share - best.share < MIN_OPENED:
-        return best
     starts[opened.name] = _start(opened, trials, starts[best.name].gaussians.position.device)
     progress.phase("gaps", trials.settings.first.trial_iterations)
     score |= trials.compare({name: starts[name] for name in (best.name, opened.name)}, progress, may_give_up=True)

@@ -21,7 +21,7 @@ from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.settings import StereoSettings
 from ...stereo.thinning import thinned
 from .depth_evidence import DepthEvidence
-from .free_space import in_free_space, views_through
+from .free_space import in_free_space, views_of, views_through
 from .initialization import FAINT_OPACITY, OPACITY, SURFACE_SPREAD, observed_colour, random_points, spatial_order, surface_spacing, surfels
 from .visual_hull import VisualHull, visual_hull
 
@@ -35,10 +35,10 @@ COMPARED_VIEWS = 4  # views that each view is compared with
 MIN_REGION_SHARE = 0.2  # share of stereo's points in such regions below which all of them are no start: a chair (.1) loses 1 dB
 CLEARANCE_RADII = 0.03  # radii of the bound around stereo's points without other points; tolerance of the free-space test
 MIN_VIEWS_THROUGH = 2  # views whose depth lies behind a point, from which the point is in free space
-# Share of all views in which any depth of stereo, confirmed by other views or not, lies behind a point of the hull, from which it may close
-# a hollow. Of a pine cone's hull it finds 87 % of the points between scales, and 53 % of what it leaves out are such; 1/12: 93 and 47 %,
-# 1/8: 77 and 60 %.
-GUESSED_SHARE_THROUGH = 1 / 10
+# Share of the views that see a point of the hull in which any depth of stereo, confirmed by other views or not, lies behind it, from which
+# it may close a hollow.
+GUESSED_SHARE_THROUGH = 0.8
+MIN_OPENED = 0.02  # share of the hull's points that open gaps leave out, below which they make no difference
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,14 +50,14 @@ class StereoStart:
         gaussians: initial Gaussians on stereo's points and elsewhere.
         share: fraction of them that lie on stereo's points.
         maps: depth map of each training view.
-        opened: makes the same start with open gaps, see `from_stereo`; None without masks.
+        opened: makes the same start with open gaps, see `from_stereo`, or None where it is almost the same; None without masks.
     """
 
     name: str
     gaussians: Gaussians
     share: float
     maps: list[DepthMap]
-    opened: Callable[[], StereoStart] | None = None
+    opened: Callable[[], StereoStart | None] | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -76,12 +76,14 @@ class _MaskedStarts:
         dataset: views with masks.
         found: depth maps and N points of stereo.
         hull: points (M, 3) of the hull and their normals (M, 3).
+        hull_depth: (H, W) depth of the hull in each view.
         count: most surfels.
     """
 
     dataset: Dataset
     found: _Found
     hull: tuple[np.ndarray, np.ndarray]
+    hull_depth: list[np.ndarray]
     count: int
 
     @property
@@ -102,24 +104,35 @@ class _MaskedStarts:
         opened = partial(self.with_open_gaps, f"{name} with open gaps", chosen, keep)
         return self._start(name, points, float(chosen.mean()), keep, opened)
 
-    def with_open_gaps(self, name: str, chosen: np.ndarray, keep: np.ndarray) -> StereoStart:
-        """Leave out points of the hull in front of any depths of stereo, and fill gaps with points that fewer views agree on.
+    def with_open_gaps(self, name: str, chosen: np.ndarray, keep: np.ndarray) -> StereoStart | None:
+        """Leave out points of the hull that close hollows, and take all of stereo's points there, also those that fewer views agree on.
 
         Args:
             name: name of the start.
             chosen: (N,) True for the points of stereo to take.
             keep: (M,) True for the points of the hull that the start with closed gaps lies on.
+
+        Returns:
+            The start; None where it leaves out less than MIN_OPENED of the hull's points.
         """
-        maps, points = self.found.maps, self.found.points
-        weaker = fuse_points(maps, [view.colour for view in self.dataset.train], MIN_SUPPORT_IN_GAPS)
+        points, left_out = self.found.points, keep & self._closes_hollow()
+        if left_out.mean() < MIN_OPENED:
+            return None
+        keep = keep & ~left_out
+        chosen = chosen | (KDTree(self.hull[0][keep]).query(points.position, workers=-1)[0] > self.reach)
+        weaker = fuse_points(self.found.maps, [view.colour for view in self.dataset.train], MIN_SUPPORT_IN_GAPS)
         weaker = weaker.select(_apart(weaker.position, points, self.reach))
-        hollow = views_through(self.hull[0], maps, self.reach, 0) >= GUESSED_SHARE_THROUGH * len(maps)
-        keep = keep & ~hollow & _apart(self.hull[0], weaker, self.reach)
+        keep = keep & _apart(self.hull[0], weaker, self.reach)
         area = float(chosen.mean()) + len(weaker.position) / len(chosen)
         return self._start(name, points.select(chosen).joined(weaker), area, keep)
 
+    def _closes_hollow(self) -> np.ndarray:
+        """Return (M,) True for the points of the hull that may close a hollow, see GUESSED_SHARE_THROUGH."""
+        seen = views_of(self.hull[0], [one.camera for one in self.found.maps], self.hull_depth, self.reach)
+        return views_through(self.hull[0], self.found.maps, self.reach, 0) >= np.maximum(GUESSED_SHARE_THROUGH * seen, 1)
+
     def _start(
-        self, name: str, points: OrientedPoints, area: float, keep: np.ndarray, opened: Callable[[], StereoStart] | None = None
+        self, name: str, points: OrientedPoints, area: float, keep: np.ndarray, opened: Callable[[], StereoStart | None] | None = None
     ) -> StereoStart:
         """Place at most `count` surfels on points of stereo and on those of the hull that are kept, (M,) True.
 
@@ -140,8 +153,8 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     second takes all of stereo's points. It is better where the hull is also wrong between these regions, and worse where stereo matches
     reflections.
     Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through, but they close hollows without texture.
-    `StereoStart.opened` makes the same start with open gaps: points that fewer views agree on fill them, and points of the hull that
-    GUESSED_SHARE_THROUGH of the views look through are left out.
+    `StereoStart.opened` makes the same start with open gaps: points of the hull that GUESSED_SHARE_THROUGH of the views that see them look
+    through are left out, and there lie all of stereo's points, and those that fewer views agree on.
 
     Without masks, there is one start, and stereo's points in free space are left out: plain backgrounds and reflections match at false
     depths. Random points are added, likewise outside free space.
@@ -171,7 +184,7 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     if found is None:
         return None
     sampled = hull.sample(count, rng)[:2]
-    starts = _MaskedStarts(dataset, found, sampled, count)
+    starts = _MaskedStarts(dataset, found, sampled, bounds[2], count)
     every = np.ones(len(found.points.position), bool), np.zeros(len(sampled[0]), bool)
     on_all = partial(starts.with_closed_gaps, "stereo everywhere", *every)
     if everywhere:

@@ -4,7 +4,7 @@
 import numpy as np
 import pytest
 from irgspp.core.scene.camera import Camera, look_at
-from irgspp.core.stages.first.free_space import in_free_space, views_through
+from irgspp.core.stages.first.free_space import in_free_space, views_of, views_through
 from irgspp.core.stereo.depth_map import DepthMap
 from irgspp.core.stereo.fusion import OrientedPoints
 
@@ -25,6 +25,11 @@ def on_axis(*depths):
 
 def test_points_before_a_depth_are_seen_through():
     assert views_through(on_axis(3.0, 3.95, 4.05, 5.0, -3.0), [plane(3)], 0.1, 2).tolist() == [1, 0, 0, 0, 0]
+
+
+def test_views_see_the_points_that_lie_on_the_surface_whose_depth_they_have():
+    depths = [np.full((CAMERA.height, CAMERA.width), depth, np.float32) for depth in (4, 4.05, 0)]
+    assert views_of(on_axis(3.0, 3.92, 4.08, 4.3, -4.0), [CAMERA] * 3, depths, 0.1).tolist() == [0, 1, 2, 0, 0]
 
 
 @pytest.mark.parametrize(("min_support", "views"), [(0, 3), (1, 2), (3, 1)])

@@ -207,6 +207,28 @@ def test_open_gaps_leave_out_the_hull_where_stereo_guesses_that_it_is_hollow(dat
         assert opened.gaussians.count <= COUNT
 
 
+def guessed_outside(views, *_, **__):
+    """Depth maps of stereo that sees the outside of the bowl and nothing of its inside."""
+    return [replace(one, depth=np.where(one.support == 1, 0, one.depth)) for one in guessed_inside(views)]
+
+
+def test_a_hull_that_closes_no_hollow_by_what_stereo_guesses_has_no_gaps_to_open(dataset, monkeypatch):
+    monkeypatch.setattr(stereo_initialization, "estimate_depth_maps", guessed_outside)
+    assert [closed.opened() for closed in from_stereo(dataset, COUNT, 0, Silent(), everywhere=True)] == [None]
+
+
+def test_open_gaps_hold_all_that_stereo_found_there(dataset, monkeypatch):
+    seen = lambda *_, **__: [replace(one, support=np.where(one.support == 1, 5, one.support)) for one in guessed_inside(*_, **__)]  # noqa: E731
+    monkeypatch.setattr(stereo_initialization, "estimate_depth_maps", seen)
+    # Nowhere in the hollow do the photographs agree better at stereo's depth than at the lid, as where there is no texture.
+    outside = lambda dataset, found, depth, other: (found.points.position[:, 2] > 0, np.ones(len(other), bool), 0.1)  # noqa: E731
+    monkeypatch.setattr(stereo_initialization, "_regions", outside)
+    (closed,) = from_stereo(dataset, COUNT, 0, Silent())
+    inside = [float(((s.gaussians.position * s.gaussians.normals()).sum(0) < -0.85).float().mean()) for s in (closed, closed.opened())]
+    assert lid(closed.gaussians) > 0.1 and lid(closed.opened().gaussians) < 0.02
+    assert inside[1] > inside[0] + 0.2
+
+
 def test_better_regions_that_are_no_pixel_off_the_hull_are_no_stereo_start(dataset, monkeypatch):
     settings = with_overrides(preset("draft"), [f"first.gaussians={COUNT}"])
     monkeypatch.setattr(stereo_initialization, "pixel_size", lambda dataset: 10.0)
