@@ -38,6 +38,9 @@ MIN_METAL_GAIN = 0.4
 # Share of the final error of the solver without metal that the one with metal must explain, for its result to be taken: two metal Suzannes
 # .35 and .28, the skull .12.
 MIN_EXPLAINED_SHARE = 0.2
+# Ratio of the errors that both starts end with below which a dark one is taken. A dark pot has .954, black ceramic about .57. A box of
+# brown wood has .984, but is not dark: its roughness was .14 off in place of .07.
+MAX_DARK_END_RATIO = 0.97
 RAYS_PER_SIDE = 2  # rays through each texel of the light along a side
 
 
@@ -183,14 +186,15 @@ def _solve(inputs: SolverInputs, search_metal: bool, progress: Progress, try_dar
 
 
 def _solve_from_better_start(solve: Callable[[bool], LightMaterialSolver], allow_dark: bool, progress: Progress) -> LightMaterialSolver:
-    """Return what `solve(try_dark)` found; a dark start must end with less error than a medium one.
+    """Return what `solve(try_dark)` found; a dark start must end with clearly less error than a medium one.
 
     Before its metal is known, an object with metal parts looks darker than it is: what both starts end with decides.
     """
     solver = solve(allow_dark)
     if solver.start_albedo < MEDIUM_ALBEDO and not progress.finish_early:
         progress.message("the best fit has a dark albedo: solved again from a medium albedo, to compare")
-        solver = min(solver, solve(False), key=lambda one: one.total_error())
+        medium = solve(False)
+        return solver if solver.total_error() < MAX_DARK_END_RATIO * medium.total_error() else medium
     return solver
 
 

@@ -107,7 +107,7 @@ def test_none_of_it_starts_as_metal_where_none_may_be(sphere, sphere_dataset, ca
         light_materials.solve_light_materials(replace(make(search_metal), gaussians=metal), surface, dataset, SETTINGS, Silent())
 
 
-@pytest.mark.parametrize(("dark_error", "is_dark"), [(0.9, True), (1.1, False)])
+@pytest.mark.parametrize(("dark_error", "is_dark"), [(0.9, True), (0.98, False), (1.1, False)])
 def test_what_both_starts_end_with_decides_whether_an_object_is_dark(sphere, sphere_dataset, camera_ring, monkeypatch, dark_error, is_dark):
     """A hammer with a steel head looked dark in the first steps, before its metal was known."""
     make, surface = sphere
