@@ -33,6 +33,10 @@ class OrientedPoints:
         """Return the points where `keep` (N,) is True."""
         return OrientedPoints(self.position[keep], self.normal[keep], self.colour[keep], self.support[keep])
 
+    def joined(self, other: OrientedPoints) -> OrientedPoints:
+        """Return these points, followed by others."""
+        return OrientedPoints(*(np.concatenate(pair) for pair in zip(vars(self).values(), vars(other).values(), strict=True)))
+
 
 def fuse_points(
     maps: Sequence[DepthMap],

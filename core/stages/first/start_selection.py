@@ -16,9 +16,9 @@ from .start_trials import StartTrials
 from .stereo_initialization import StereoStart, from_stereo
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
-# PSNR in dB on held-back views by which a trial fit with open gaps must be better: about its noise. A watering
-# can gains .8, a pine cone .75, a plain cup .2.
-OPEN_MARGIN = 0.1
+# PSNR in dB on held-back views by which a trial fit with open gaps must be better: more than noise. A pine cone gains .8, a watering can
+# and a plain cup .5; a box with stones .14, a toy car .1, suzanne_mixed and rocker_corner nothing.
+OPEN_MARGIN = 0.2
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
 

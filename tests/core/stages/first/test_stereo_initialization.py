@@ -277,8 +277,7 @@ def test_false_points_before_a_textured_surface_start_no_surfels(monkeypatch):
         points = fuse(*arguments)
         sheet = np.array([[0.05 * (i % 20) - 0.5, 0.05 * (i // 20) - 0.5, 0.9] for i in range(400)], np.float32)
         up, grey = np.tile(np.float32([0, 0, 1]), (400, 1)), np.full((400, 3), 0.5, np.float32)
-        added = (sheet, up, grey, np.ones(400, np.int32))
-        return OrientedPoints(*(np.concatenate(pair) for pair in zip(vars(points).values(), added, strict=True)))
+        return points.joined(OrientedPoints(sheet, up, grey, np.ones(400, np.int32)))
 
     monkeypatch.setattr(stereo_initialization, "fuse_points", with_a_sheet)
     place = from_stereo(posed, COUNT, 0, Silent())[0].gaussians.position.T.numpy()
