@@ -39,7 +39,7 @@ MIN_VIEWS_THROUGH = 2  # views whose depth lies behind a point, from which the p
 # it may close a hollow. Trial fits with open gaps at .6, .7, .8, .9: a watering can 32.2, 32.2, 32.1, 31.9 dB, closed 31.6; a plain cup
 # 37.7, 37.9, 37.8, not tried, closed 37.3; a pine cone 31.3, 31.4, 31.4, 31.3, closed 30.6. A tenth of all views found the hull's wrong
 # points as well, but also 37 % of the can's right ones (now 6 %), 7 % of the cup's (3), 59 % of rocker_corner's (24), 41 % of
-# suzanne_mixed's (5).
+# suzanne_mixed's (5). Whole jobs: .7 costs the cup's albedo, relit images and new views .2 dB each against .8.
 GUESSED_SHARE_THROUGH = 0.8
 MIN_OPENED = 0.02  # share of the hull's points that open gaps leave out, below which they make no difference
 
@@ -122,6 +122,7 @@ class _MaskedStarts:
         if left_out.mean() < MIN_OPENED:
             return None
         keep = keep & ~left_out
+        # Without texture, the photographs agree with the hull as well as with stereo: where the hull is left out, stereo alone is left.
         chosen = chosen | (KDTree(self.hull[0][keep]).query(points.position, workers=-1)[0] > self.reach)
         weaker = fuse_points(self.found.maps, [view.colour for view in self.dataset.train], MIN_SUPPORT_IN_GAPS)
         weaker = weaker.select(_apart(weaker.position, points, self.reach))
@@ -157,7 +158,7 @@ def from_stereo(dataset: Dataset, count: int, seed: int, progress: Progress, *, 
     reflections.
     Points of the hull fill the gaps that fewer than MIN_VIEWS_THROUGH views look through, but they close hollows without texture.
     `StereoStart.opened` makes the same start with open gaps: points of the hull that GUESSED_SHARE_THROUGH of the views that see them look
-    through are left out, and there lie all of stereo's points, and those that fewer views agree on.
+    through are left out, and all of stereo's points lie there, and those that fewer views agree on.
 
     Without masks, there is one start, and stereo's points in free space are left out: plain backgrounds and reflections match at false
     depths. Random points are added, likewise outside free space.
