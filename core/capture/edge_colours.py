@@ -84,8 +84,13 @@ def edge_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
 
     How much both differ from their colours is learned from the pixels that are sure.
     """
-    inside, outside = [one.inside for one in views], [one.outside for one in views]
-    own = log_likelihood_ratios([one.from_object for one in views], outside, inside, MAX_DIFFERENCE)
     plane = [one.outside & one.textured for one in views]
+    inside = [one.inside for one in views]
     background = log_likelihood_ratios([one.from_background for one in views], plane, inside, MAX_DIFFERENCE)
-    return [first + second for first, second in zip(own, background, strict=True)]
+    return [first + second for first, second in zip(object_evidence(views), background, strict=True)]
+
+
+def object_evidence(views: Sequence[EdgeColours]) -> list[np.ndarray]:
+    """Return the same ratio by the object's colours alone: < 0 where a photograph shows them."""
+    outside, inside = [one.outside for one in views], [one.inside for one in views]
+    return log_likelihood_ratios([one.from_object for one in views], outside, inside, MAX_DIFFERENCE)

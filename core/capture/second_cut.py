@@ -2,7 +2,7 @@
 """Second cut: the edges of captured masks decided again, once a quick fit has rendered the object in all photographs.
 
 Its outlines agree over the views, and its colours and the support plane's texture say what a pixel at the edge shows. Gaps that the masks
-fill are opened where several photographs see the background in them.
+fill are opened where several photographs see the background in them; holes that they have where the object shows are filled.
 """
 
 from __future__ import annotations
@@ -17,7 +17,8 @@ from ..machine.thread_pool import run_jobs
 from ..scene.dataset import Bound, View
 from ..scene.surroundings import Surroundings
 from .convex_cut import minimum_cut
-from .edge_colours import EdgeColours, edge_colours, edge_evidence
+from .edge_colours import EdgeColours, edge_colours, edge_evidence, object_evidence
+from .false_holes import holes_like_object, without_false_holes
 from .filled_gaps import blurred, carved_silhouettes, gaps_in
 from .plane_texture import PlaneTexture, plane_texture
 from .segmentation import edge_weight
@@ -67,11 +68,32 @@ def cut_again(views: Sequence[View], rendered: Sequence[tuple[np.ndarray, np.nda
     texture = plane_texture([view.colour for view in views], [view.camera for view in views], [view.alpha for view in views], plane, bound)
     crops = [_crop(view) for view in views]
     parts = [(image[crop], opacity[crop]) for (image, opacity), crop in zip(rendered, crops, strict=True)]
-    colours = list(run_jobs(_colours, [(texture, view, crop, part) for view, crop, part in zip(views, crops, parts, strict=True)]))
+    colours = _all_colours(texture, views, crops, parts)
+    whole = without_false_holes(views, _holes(views, crops, colours), bound, plane)
+    if any(one is not before for one, before in zip(whole, views, strict=True)):
+        colours = _all_colours(texture, whole, crops, parts)
     evidence = edge_evidence(colours)
     opacity = [part[1] for part in parts]
-    colours, opacity = _without_gaps(views, crops, colours, evidence, opacity, plane, bound)
-    return list(run_jobs(_with_mask, list(zip(views, crops, colours, evidence, opacity, strict=True))))
+    colours, opacity = _without_gaps(whole, crops, colours, evidence, opacity, plane, bound)
+    return list(run_jobs(_with_mask, list(zip(whole, crops, colours, evidence, opacity, strict=True))))
+
+
+def _all_colours(
+    texture: PlaneTexture, views: Sequence[View], crops: Sequence[Crop], rendered: Sequence[tuple[np.ndarray, np.ndarray]]
+) -> list[EdgeColours]:
+    """Return the colours in the crops of all views; `rendered` is cropped."""
+    return list(run_jobs(_colours, [(texture, *parts) for parts in zip(views, crops, rendered, strict=True)]))
+
+
+def _holes(views: Sequence[View], crops: Sequence[Crop], colours: Sequence[EdgeColours]) -> list[np.ndarray]:
+    """Return the numbers (H, W) of the holes in each view's mask that may be false."""
+    found = []
+    for view, crop, one, evidence in zip(views, crops, colours, object_evidence(colours), strict=True):
+        assert view.alpha is not None
+        numbers = np.zeros(view.alpha.shape, np.int32)
+        numbers[crop] = holes_like_object(view.alpha[crop], evidence, one.textured)
+        found.append(numbers)
+    return found
 
 
 def _without_gaps(
