@@ -9,8 +9,10 @@ import cv2
 import numpy as np
 
 from ..scene.camera import Camera
+from ..scene.dataset import Bound
 from .likelihood_ratio import log_likelihood_ratios
 from .plane_texture import PlaneTexture
+from .support_plane import SupportPlane
 
 LOCAL_SIGMA = 0.02  # sigma of the window in which a photograph's own brightness of the plane is measured, in the image's longest sides
 REDUCTION = 4  # factor by which images are reduced for that
@@ -74,3 +76,20 @@ def background_evidence(differences: Sequence[np.ndarray], priors: Sequence[np.n
     """
     background, inside = [prior < SURE_PRIOR for prior in priors], [prior > 1 - SURE_PRIOR for prior in priors]
     return [np.clip(one, -MAX_LOG_RATIO, MAX_LOG_RATIO) for one in log_likelihood_ratios(differences, background, inside, MAX_DIFFERENCE)]
+
+
+def beyond_plane(evidence: np.ndarray, camera: Camera, plane: SupportPlane, bound: Bound) -> np.ndarray:
+    """Return the pixels (H, W) bool whose background can't be the support plane: no texture of it is known, and the object hides none.
+
+    Args:
+        evidence: (H, W), as of `background_evidence`.
+        camera: camera of the view.
+        plane: plane that the object stands on.
+        bound: sphere about the object; what it hides of the plane lies within its radius from its foot.
+    """
+    rays, centre = camera.rays(), np.asarray(bound.centre)
+    falling = np.minimum(rays @ plane.normal, -1e-6)
+    depth = -plane.height(camera.centre) / falling
+    foot = centre - plane.height(centre) * plane.normal
+    near = np.linalg.norm(camera.centre + depth[..., None] * rays - foot, axis=-1) < bound.radius
+    return (evidence == 0) & ~near

@@ -42,7 +42,7 @@ from .report import write_contact_sheet, write_page
 from .sparse_model import SparseModel
 from .static_background import SeenBackground, light_rotations
 from .turntable import find_turntable
-from .uncertain_poses import without_uncertain_poses
+from .uncertain_poses import pose_error, without_uncertain_poses
 from .undistortion import UndistortedImage, undistort_photographs
 from .upright import is_wall, world_similarity
 
@@ -213,7 +213,8 @@ class PosedPhotographs:
         given = {one.view.name: one.mask for one in self.images if one.mask is not None}
         background = None if self.seen is None else self.seen.masks
         views = [one.view for one in self.images]
-        return cut_out(views, self.model.points, self.settings, self.seed, self.progress, sphere, given or None, background)
+        error = pose_error(self.model)
+        return cut_out(views, self.model.points, self.settings, self.seed, self.progress, sphere, given or None, background, error)
 
     def frame(self, found: ObjectMasks | None) -> CapturedFrame:
         """Return the frame of the dataset.

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import cv2
 import numpy as np
 from scipy.ndimage import gaussian_filter
@@ -11,6 +13,22 @@ BINS = (16, 24, 24)  # of L, a and b
 LOW, HIGH = np.array([0.0, -60.0, -60.0], np.float32), np.array([100.0, 60.0, 60.0], np.float32)  # Lab values that the bins span
 BLUR = 0.8  # bins, sigma of the smoothing
 FLOOR = 2e-5  # probability of a bin that no colour fell into
+
+
+@dataclass(frozen=True, eq=False)
+class ColourModel:
+    """Probabilities (B,) of the bins of colours in one view.
+
+    Attributes:
+        object: of the object.
+        background: of what lies around it.
+        beyond: of what lies around it where the support plane can't be, such as the room behind a table. The table's colours are no
+            background there, so that parts that have them are found.
+    """
+
+    object: np.ndarray
+    background: np.ndarray
+    beyond: np.ndarray
 
 
 def lab_bins(colour: np.ndarray) -> np.ndarray:

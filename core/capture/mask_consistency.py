@@ -13,7 +13,7 @@ from ..errors import Cancelled
 from ..machine.thread_pool import run_jobs
 from ..progress.protocol import Progress
 from ..scene.camera import Camera
-from .background_evidence import background_evidence, plane_differences
+from .background_evidence import background_evidence, beyond_plane, plane_differences
 from .ground import Ground
 from .object_region import ObjectRegion
 from .plane_texture import PlaneTexture, plane_texture
@@ -78,7 +78,7 @@ class _CutInput:
 
 
 def consistent_masks(
-    views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress
+    views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, pose_error: float = 0.0
 ) -> tuple[list[np.ndarray | None], list[tuple[str, str]]]:
     """Cut the object out of all views.
 
@@ -87,6 +87,7 @@ def consistent_masks(
         region: region of the object.
         ground: ground on which the object stands, or None.
         progress: receives the phase "cut out the object", and may cancel.
+        pose_error: pixels at 640 a side by which poses may be wrong.
 
     Returns:
         A mask (H, W) of each view, nearly binary, None where there is none, and the names of doubtful views with the reason.
@@ -94,7 +95,7 @@ def consistent_masks(
     Raises:
         Cancelled: the user stopped the work.
     """
-    work = _Work(views, region, ground, progress)
+    work = _Work(views, region, ground, progress, pose_error)
     work.run()
     return work.masks, work.doubtful()
 
@@ -102,9 +103,11 @@ def consistent_masks(
 class _Work:
     """State of the rounds; see `consistent_masks` for the arguments."""
 
-    def __init__(self, views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress) -> None:
+    def __init__(
+        self, views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, pose_error: float
+    ) -> None:
         self.views, self.cutouts, self.cameras = views, [one.cutout for one in views], [one.camera for one in views]
-        self.region, self.ground, self.progress = region, ground, progress
+        self.region, self.ground, self.progress, self.pose_error = region, ground, progress, pose_error
         self.masks: list[np.ndarray | None] = [None] * len(views)
         self.agreement = np.ones(len(views))
         self.refused: set[int] = set()
@@ -164,7 +167,8 @@ class _Work:
     def again(self) -> None:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
         plane = None if self.ground is None else self.ground.plane
-        hull = soft_hull(self.cameras, self.masks, (self.agreement >= MIN_AGREEMENT).astype(float), self.region.bound, plane)
+        weights = (self.agreement >= MIN_AGREEMENT).astype(float)
+        hull = soft_hull(self.cameras, self.masks, weights, self.region.bound, plane, self.pose_error * self.pixel)
         if hull is None:
             return
         found = silhouettes(hull, self.cameras)
@@ -223,9 +227,7 @@ class _Work:
             self.texture = self.ground.visible(seen)
         jobs = []
         for i, prior in zip(chosen, priors, strict=True):
-            cutout = self._cutout(i)
-            left, top, right, bottom = cutout.box
-            jobs.append((self.texture, cutout.colour, self.cameras[i].cropped(left, top, right - left, bottom - top), prior))
+            jobs.append((self.texture, self._cutout(i).colour, self._cropped_camera(i), prior))
         return background_evidence(list(run_jobs(plane_differences, jobs)), priors)
 
     def _seen_object(self, i: int) -> np.ndarray | None:
@@ -238,9 +240,10 @@ class _Work:
     def _cut(self, inputs: Sequence[_CutInput]) -> None:
         """Learn the colours of views and cut them."""
         cutouts = [self._cutout(one.view) for one in inputs]
-        models = learn_colours(cutouts, [one.sure for one in inputs], NEAR_PIXELS * self.pixel)
-        parts = zip(inputs, cutouts, models, strict=True)
-        jobs = [(cutout, model, one.prior, one.seed_cost, one.start, one.evidence) for one, cutout, model in parts]
+        beyond = list(run_jobs(self._beyond, [(one,) for one in inputs]))
+        models = learn_colours(cutouts, [one.sure for one in inputs], beyond, NEAR_PIXELS * self.pixel)
+        parts = zip(inputs, cutouts, models, beyond, strict=True)
+        jobs = [(cutout, model, far, one.prior, one.seed_cost, one.start, one.evidence) for one, cutout, model, far in parts]
         for one, cutout, crop in zip(inputs, cutouts, run_jobs(cut, jobs), strict=False):
             camera = self.cameras[one.view]
             self.masks[one.view] = cutout.full(crop, (camera.height, camera.width))
@@ -248,6 +251,16 @@ class _Work:
             self.progress.step(self.done)
             if self.progress.cancelled:
                 raise Cancelled("stopped while the object was cut out")
+
+    def _beyond(self, one: _CutInput) -> np.ndarray:
+        """Return where the support plane can't be the background of a cut, (h, w) bool; nowhere without a plane."""
+        if self.ground is None or one.evidence is None:
+            return np.zeros(one.prior.shape, bool)
+        return beyond_plane(one.evidence, self._cropped_camera(one.view), self.ground.plane, self.region.bound)
+
+    def _cropped_camera(self, i: int) -> Camera:
+        left, top, right, bottom = self._cutout(i).box
+        return self.cameras[i].cropped(left, top, right - left, bottom - top)
 
     def _compare(self, found: list[np.ndarray]) -> None:
         """Compare masks with the other views' silhouettes (H, W); a mask of the user's that contradicts them is dropped."""

@@ -62,6 +62,7 @@ def cut_out(
     sphere: Bound | None = None,
     given: dict[str, np.ndarray] | None = None,
     background: dict[str, np.ndarray] | None = None,
+    pose_error: float = 0.0,
 ) -> ObjectMasks | None:
     """Cut the object that the cameras look at out of all views.
 
@@ -74,6 +75,7 @@ def cut_out(
         sphere: bounding sphere of the object in the views' frame, if the user gave it; it is then the bound of the result.
         given: masks (H, W) 0..1 that the user gave, by the view's name, for some or all views; followed but for a band at their edge.
         background: (H, W) bool by the view's name, True where the static background of a turntable is seen.
+        pose_error: pixels at 640 a side by which poses may be wrong.
 
     Returns:
         The masks, None in views in which other things hide the user's object; None, with a message that says why, where there is no object
@@ -105,7 +107,7 @@ def cut_out(
     cutouts = [None if behind else one for one, behind in zip(cutouts, hidden, strict=True)]
     parts = enumerate(zip(views, cutouts, strict=True))
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
-    masks, doubtful = consistent_masks(masked, region, ground, progress)
+    masks, doubtful = consistent_masks(masked, region, ground, progress, pose_error)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
     if sum(mask is not None for mask in masks) < MIN_MASKS:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")

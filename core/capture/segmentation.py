@@ -12,7 +12,7 @@ import numpy as np
 from ..scene.camera import Camera
 from ..scene.dataset import Bound, View
 from ..stereo.depth_map import DepthMap
-from .colour_model import count_colours, lab_bins, probabilities
+from .colour_model import ColourModel, count_colours, lab_bins, probabilities
 from .convex_cut import minimum_cut
 from .dense_points import MIN_SUPPORT
 from .ground import Ground
@@ -161,33 +161,33 @@ def edge_weight(colour: np.ndarray, most: float = EDGE_COST) -> np.ndarray:
     return most * (MIN_EDGE_FRACTION + (1 - MIN_EDGE_FRACTION) * np.exp(-change / (2 * change.mean() + 1e-6))).astype(np.float32)
 
 
-def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], near: float) -> list[tuple[np.ndarray, np.ndarray]]:
+def learn_colours(cutouts: Sequence[Cutout], inside: Sequence[np.ndarray], beyond: Sequence[np.ndarray], near: float) -> list[ColourModel]:
     """Count the colours of the object and of its surroundings in every view, mixed with those of all views.
 
     Args:
         cutouts: the views.
         inside: (h, w) -1..1 of each, how surely a pixel is the object (1) or the background (-1).
+        beyond: (h, w) bool of each, where the support plane can't be the background, see `beyond_plane`.
         near: pixels around the object from which the background's colours count.
-
-    Returns:
-        The probabilities (B,) of the object's and of the background's colours in each view.
     """
     counts = []
-    for cutout, sure in zip(cutouts, inside, strict=True):
+    for cutout, sure, elsewhere in zip(cutouts, inside, beyond, strict=True):
         far = np.minimum(cv2.distanceTransform((sure <= 0).astype(np.uint8), cv2.DIST_L2, 3), 1e4)  # huge where nothing is the object
         weight = np.maximum(-sure, 0) / (1 + (far / near) ** 2)
-        counts.append((count_colours(cutout.bins, np.maximum(sure, 0)), count_colours(cutout.bins, weight)))
-    shared = [np.mean([c[k] / max(c[k].sum(), 1) for c in counts], 0) for k in (0, 1)]
-    models: list[tuple[np.ndarray, np.ndarray]] = []
-    for own in counts:
-        mixed = [SHARED_WEIGHT * shared[k] + (1 - SHARED_WEIGHT) * own[k] / own[k].sum() if own[k].sum() > 0 else shared[k] for k in (0, 1)]
-        models.append((probabilities(mixed[0]), probabilities(mixed[1])))
-    return models
+        counts.append([count_colours(cutout.bins, one) for one in (np.maximum(sure, 0), weight, weight * elsewhere)])
+    shared = [np.mean([c[k] / max(c[k].sum(), 1) for c in counts], 0) for k in range(3)]
+    return [ColourModel(*(_mixed(*pair) for pair in zip(own, shared, strict=True))) for own in counts]
+
+
+def _mixed(own: np.ndarray, shared: np.ndarray) -> np.ndarray:
+    """Return probabilities (B,) of colours from a view's own counts (B,) and the shares (B,) in all views."""
+    return probabilities(SHARED_WEIGHT * shared + (1 - SHARED_WEIGHT) * own / own.sum() if own.sum() > 0 else shared)
 
 
 def cut(
     cutout: Cutout,
-    model: tuple[np.ndarray, np.ndarray],
+    model: ColourModel,
+    beyond: np.ndarray,
     prior: np.ndarray,
     seed_cost: float,
     start: np.ndarray,
@@ -197,7 +197,8 @@ def cut(
 
     Args:
         cutout: the view.
-        model: probabilities (B,) of the object's and of the background's colours.
+        model: colours of the object and of the background.
+        beyond: (h, w) bool, where the support plane can't be the background.
         prior: (h, w) 0..1, how surely other evidence says that a pixel is the object.
         seed_cost: cost of cutting against a seed, nats.
         start: (h, w) 0..1 where the iterations begin.
@@ -206,8 +207,8 @@ def cut(
     Returns:
         The mask (h, w) float32, nearly binary.
     """
-    ratio = np.log(model[1] / model[0]).astype(np.float32)
-    cost = COLOUR_FACTOR * np.clip(ratio, -MAX_COLOUR_RATIO, MAX_COLOUR_RATIO)[cutout.bins]
+    ratios = [np.log(background / model.object).astype(np.float32)[cutout.bins] for background in (model.background, model.beyond)]
+    cost = COLOUR_FACTOR * np.clip(np.where(beyond, ratios[1], ratios[0]), -MAX_COLOUR_RATIO, MAX_COLOUR_RATIO)
     if plane is not None:
         cost = np.where(plane != 0, COLOUR_FACTOR_WITH_PLANE / COLOUR_FACTOR, 1) * cost + PLANE_FACTOR * plane
     cost = (cost - seed_cost * cutout.seed).astype(np.float32)

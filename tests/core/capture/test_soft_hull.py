@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Soft hull of exact masks of a box: its silhouettes, and what one wrong mask does to it."""
 
+import cv2
 import numpy as np
 import pytest
 from irgspp.core.capture.mask_consistency import overlap
@@ -46,3 +47,21 @@ def test_a_mask_without_weight_carves_nothing(exact):
     weights = np.array([0.0] * 3 + [1.0] * (len(masks) - 3))
     assert soft_hull(cameras, empty, np.ones(len(masks)), BOUND, None) is None
     assert soft_hull(cameras, empty, weights, BOUND, None) is not None
+
+
+def test_thin_parts_stay_where_masks_are_widened_by_the_poses_error(exact):
+    """Masks of a narrow bar, each moved by 3 pixels in its own direction, as poses that err would: they have little in common."""
+    cameras, _ = exact
+    along = np.linspace(0, 1, 200)
+    bar, moved = [], []
+    for i, camera in enumerate(cameras):
+        pixel, _ = camera.project(np.stack([0.4 * along - 0.2, 0.1 * along, 0.3 + 0.4 * along], 1))
+        image = np.zeros((camera.height, camera.width), np.uint8)
+        cv2.polylines(image, [np.round(pixel).astype(np.int32)], False, 1, 5)
+        bar.append(image.astype(np.float32))
+        moved.append(np.roll(bar[-1], [(0, 3), (3, 0), (0, -3), (-3, 0)][i % 4], (0, 1)))
+    strict, loose = (soft_hull(cameras, moved, np.ones(len(cameras)), BOUND, None, error) for error in (0, 3))
+    assert loose is not None
+    covered = [silhouette[mask > 0].mean() for silhouette, mask in zip(silhouettes(loose, cameras), bar, strict=True)]
+    assert np.mean(covered) > 0.8
+    assert strict is None or np.mean([s[m > 0].mean() for s, m in zip(silhouettes(strict, cameras), bar, strict=True)]) < 0.5
