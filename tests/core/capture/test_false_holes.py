@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""False holes of masks: filled where the object's colours and the other views say so, and the table's texture nothing else."""
+"""False holes of masks: filled where they have the object's colours, the other views see it, and no texture of the table is known."""
 
 from dataclasses import replace
 from pathlib import Path
