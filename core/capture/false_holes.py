@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""False holes of masks: parts of a plain object, with background all around in the mask's eyes, that look like the table behind them.
+"""False holes of masks: parts of a plain object that a cut took for the table behind them.
 
 A photograph that looks through a true hole shows the table there as other photographs show it, or the other views see no object. A false
 hole has the object's colours, lies inside the other views' outline, and hides a part of the table that no photograph shows.

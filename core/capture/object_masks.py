@@ -88,6 +88,10 @@ def cut_out(
     given, background = _not_empty(given or {}, progress), background or {}
     if not settings.masks or len(views) < MIN_MASKS:
         return None
+    if pose_error:
+        progress.message(
+            f"masks: few points fix the cameras, which may err by {pose_error:g} pixels; a patterned surface under the object helps"
+        )
     cameras = [view.camera for view in views]
     dense = find_dense_points(views, points, sphere, seed, progress)
     if sphere is not None:

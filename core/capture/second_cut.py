@@ -2,7 +2,7 @@
 """Second cut: the edges of captured masks decided again, once a quick fit has rendered the object in all photographs.
 
 Its outlines agree over the views, and its colours and the support plane's texture say what a pixel at the edge shows. Gaps that the masks
-fill are opened where several photographs see the background in them; holes that they have where the object shows are filled.
+fill are opened where several photographs see the background in them; false holes are filled.
 """
 
 from __future__ import annotations

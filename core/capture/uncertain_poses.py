@@ -22,8 +22,8 @@ from .sparse_model import PosedPhotograph, SparseModel
 # others, and .02 to .04 in the median.
 MAX_DEVIATION, MAX_MEDIANS = 0.1, 4.0
 MAX_FRACTION = 0.1  # fraction of the photographs; where more are uncertain, the scene has few points, and none is left out
-# Pixels that poses are taken to err for each of the median deviation: errors are not independent. Seven captures with 690 to 1,285 points a
-# photograph have deviations of .01 to .04 and errors of .06 to .14 pixels, two with 61 and 64 points .18 and .08, and errors of 1.0 and .9.
+# Pixels that poses are taken to err for each of the median deviation: errors are not independent. Six captures with 690 to 1,285 points a
+# photograph have deviations of .02 to .04 and errors of .06 to .14 pixels, two with 61 and 64 points .18 and .08, and errors of 1.0 and .9.
 ERROR_FACTOR = 10.0
 MAX_ERROR = 3  # pixels, of that
 MEAN_TO_DEVIATION = 0.8  # standard deviation of an error along an axis over the mean length of errors in the plane
