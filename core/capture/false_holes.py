@@ -18,11 +18,12 @@ from ..scene.dataset import Bound, View
 from .filled_gaps import carved_silhouettes
 from .support_plane import SupportPlane
 
-# Mean log-likelihood ratio of background to object by the object's colours, below which a hole has them. False holes of a white mug have
-# -1.9 to -2.8, a toy car's -2.4; true holes with -.5 and less, of a vase in a ring, have -1.7 at least.
+# Mean log-likelihood ratio of background to object by the object's colours, below which a hole has them. Four false holes of a white mug
+# have -1.9 to -2.8, a toy car's largest -2.4. Of 223 true holes in seven captures, all three conditions hold for two small ones, which the
+# second cut closes by itself.
 MAX_EVIDENCE = -1.5
 MAX_TEXTURED = 0.5  # fraction of a hole in which the table's texture is known, above which the mask is believed
-# Mean sureness of the other views, from which they see the object in a hole. The mug's false holes, which four views have, reach .94; the
+# Mean sureness of the other views, from which they see the object in a hole. The mug's false holes, which four views have, reach .94; other
 # true holes with those colours .76.
 MIN_SILHOUETTE = 0.9
 
