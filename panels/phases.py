@@ -21,7 +21,8 @@ CAPTURE_STEPS = (  # of a capture, in order; a reconstruction of photographs wit
     ("Matching photographs", ("match photographs",)),
     ("Finding the cameras", ("find poses",)),
     ("Undistorting photographs", ("undistort photographs",)),
-    ("Cutting out the object", ("dense points", "cut out the object")),
+    ("Refining the cameras", ("dense points", "refine poses")),
+    ("Cutting out the object", ("cut out the object",)),
 )
 # Share of each phase of a reconstruction in its whole time, in percent: rounded means of balanced runs of five scenes. Only captures
 # have a quick fit, which takes about 10, and only objects whose gaps may be open a trial of that. The joint optimisation is not in the
@@ -56,7 +57,7 @@ CAPTURE_NUMBERS = {phase: number for number, (_, phases) in enumerate(CAPTURE_ST
 
 
 def phase_in_words(kind: str, phase: str) -> str:
-    """Return a phase as "Step 3 of 8: Fitting shape and radiance", "Cameras, step 3 of 6: Matching photographs" before.
+    """Return a phase as "Step 3 of 8: Fitting shape and radiance", "Cameras, step 3 of 7: Matching photographs" before.
 
     Phases of other kinds of jobs keep their names.
 

@@ -10,41 +10,35 @@ from __future__ import annotations
 import dataclasses
 import json
 import shutil
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
 
-from ..datasets.bound import bound_of_cameras, bound_of_points
 from ..datasets.formats.captured import EXPOSURES, FILE, FORMAT, SURROUNDINGS, load_capture
 from ..errors import InputError
 from ..io.file_lock import FileLock
-from ..io.image import read_image
 from ..progress.protocol import Progress, Silent
-from ..scene.dataset import Bound
 from ..scene.surroundings import save_surroundings
 from ..settings.schema import CaptureSettings
-from .captured_frame import CapturedFrame, load_frame
-from .chosen_sphere import check_sphere, chosen_sphere, other_things
+from .captured_frame import load_frame
+from .chosen_sphere import chosen_sphere, other_things
 from .dataset_files import write_json, write_masks, write_model, write_transforms
 from .description import CaptureResult, describe, with_object_shown
 from .exposures import exposure_gains
 from .given_cameras import given_model, has_cameras
-from .marker import find_marker_scale
 from .near_surfaces import near_surfaces
-from .object_masks import ObjectMasks, cut_out
 from .photograph import LeftOut
+from .pose_refinement import refine_poses
+from .posed_photographs import PosedPhotographs
 from .poses import find_poses
 from .reading import read_photographs
 from .recapture import captured_settings
 from .report import write_contact_sheet, write_page
-from .sparse_model import SparseModel
 from .static_background import SeenBackground, light_rotations
 from .turntable import find_turntable
-from .uncertain_poses import pose_error, without_uncertain_poses
-from .undistortion import UndistortedImage, undistort_photographs
-from .upright import is_wall, world_similarity
+from .uncertain_poses import mask_widening, without_uncertain_poses
+from .undistortion import undistort_photographs
 
 LOCK = ".lock"
 EDITED = "edited_masks"  # copies of masks that were edited before the object was cut out again
@@ -179,59 +173,9 @@ def _posed(source: Path, folder: Path, settings: CaptureSettings, seed: int, pro
     _report_left_out(model.left_out, progress)
     images = undistort_photographs(model, folder, settings.resolution, progress)
     seen = None if turntable is None else SeenBackground.of(turntable, photographs, images)
-    return PosedPhotographs(model, images, seen, settings, seed, progress), left_out
-
-
-@dataclass(frozen=True, eq=False)
-class PosedPhotographs:
-    """Posed photographs, out of which the object is cut.
-
-    Attributes:
-        model: sparse model, in its own frame.
-        images: undistorted images of `model.posed`.
-        seen: static background of a turntable, or None.
-        settings: settings of the capture.
-        seed: seed of every random number generator.
-        progress: receives the progress and may cancel.
-    """
-
-    model: SparseModel
-    images: list[UndistortedImage]
-    seen: SeenBackground | None
-    settings: CaptureSettings
-    seed: int
-    progress: Progress
-
-    def cut_out(self, sphere: Bound | None) -> ObjectMasks | None:
-        """Cut the object out, unless the settings say not to.
-
-        Args:
-            sphere: the person's sphere, in the model's frame; None to find the object.
-        """
-        if sphere is not None:
-            check_sphere(sphere, [one.camera for one in self.images])
-        given = {one.view.name: one.mask for one in self.images if one.mask is not None}
-        background = None if self.seen is None else self.seen.masks
-        views = [one.view for one in self.images]
-        error = pose_error(self.model)
-        return cut_out(views, self.model.points, self.settings, self.seed, self.progress, sphere, given or None, background, error)
-
-    def frame(self, found: ObjectMasks | None) -> CapturedFrame:
-        """Return the frame of the dataset.
-
-        Args:
-            found: the object, cut out without a person's sphere; None where there is none.
-        """
-        metres = _metres_per_unit(self.model, self.settings, self.progress)
-        scale = 1.0 if self.model.has_given_cameras else metres  # a dataset keeps its unit
-        bound = _scene_bound(self.model, self.images) if found is None else found.bound
-        plane = None if found is None or found.plane is None else (found.plane.normal, found.plane.offset)
-        cameras = [one.camera for one in self.images]
-        if plane is not None and is_wall(cameras, plane[0]):
-            self.progress.message("the object is on a wall, which becomes the ground: it lies on its back in the dataset")
-        similarity = world_similarity(cameras, bound, plane, scale)
-        similarity[:3] *= self.settings.scale or 1.0
-        return CapturedFrame(similarity, metres is not None or self.settings.scale is not None)
+    refined = refine_poses(model, images, {} if seen is None else seen.masks, seed, progress)
+    widening = mask_widening(model)  # of the model before: its points are features, which tell how much texture there is
+    return PosedPhotographs(refined.model, refined.images, seen, settings, seed, progress, widening, refined.dense), left_out
 
 
 def _keep_edited_masks(folder: Path, progress: Progress) -> None:
@@ -258,22 +202,6 @@ def _write(result: CaptureResult, folder: Path, state: dict[str, Any]) -> None:
     write_json(folder / FILE, state)
 
 
-def _metres_per_unit(model: SparseModel, settings: CaptureSettings, progress: Progress) -> float | None:
-    """Return the model's scale by the printed marker; None where none is expected or found."""
-    if settings.marker is None:
-        return None
-    marker = find_marker_scale(model, settings.marker, lambda photograph: _eight_bits(read_image(photograph.image).colour))
-    if marker is None:
-        progress.message("no marker was found in three photographs: the true size is not known; print it larger, or lay it flat and lit")
-        return None
-    progress.message(f"marker {marker.name}, found in {marker.photographs} photographs to {marker.error:.2f} pixels, gives the true size")
-    return marker.metres_per_unit
-
-
-def _eight_bits(colour: np.ndarray) -> np.ndarray:
-    return colour if colour.dtype == np.uint8 else (colour >> 8).astype(np.uint8)
-
-
 def _write_surroundings(result: CaptureResult, folder: Path) -> None:
     """Write the surfaces around the object, in the world; without masks they are part of the scene."""
     path, found = folder / SURROUNDINGS, result.found
@@ -286,9 +214,3 @@ def _write_surroundings(result: CaptureResult, folder: Path) -> None:
 def _report_left_out(left_out: list[LeftOut], progress: Progress) -> None:
     for one in left_out:
         progress.message(f"left out {one.name}: {one.reason}")
-
-
-def _scene_bound(model: SparseModel, images: list[UndistortedImage]) -> Bound:
-    """Return the sphere about what the cameras look at, where no object was cut out."""
-    cameras = [one.camera for one in images]
-    return bound_of_points(cameras, model.position) or bound_of_cameras(cameras)

@@ -10,13 +10,12 @@ from pathlib import Path
 
 import cv2
 import numpy as np
-import pycolmap
 
 from ..errors import InputError
 from ..io.atomic import replaced_folder, write_atomic
 from ..io.quantisation import eight_bits
-from ..scene.camera import Camera
 from ..scene.similarity import moved_points
+from .reconstruction import Tracks, build_reconstruction
 from .sparse_model import SparseModel
 from .undistortion import UndistortedImage, undistorted_pixels
 
@@ -32,36 +31,15 @@ def write_model(model: SparseModel, images: Sequence[UndistortedImage], similari
         similarity: (4, 4) from the model's frame to the world.
         folder: folder of the capture.
     """
-    reconstruction = pycolmap.Reconstruction()
-    numbers: dict[tuple[float, ...], int] = {}
-    order = np.lexsort((model.track_point, model.track_photograph))
-    starts = np.searchsorted(model.track_photograph[order], np.arange(len(images) + 1))
-    elements: list[list[pycolmap.TrackElement]] = [[] for _ in model.position]
+    track_pixel = np.zeros_like(model.track_pixel, np.float64)
     for i, one in enumerate(images):
-        observations = order[starts[i] : starts[i + 1]]
-        pixels = undistorted_pixels(model.track_pixel[observations], one.posed.lens)
-        camera = _camera_number(reconstruction, numbers, one.camera)
-        image = pycolmap.Image(name=one.image.name, keypoints=pixels, camera_id=camera, image_id=i + 1)
-        pose = pycolmap.Rigid3d(one.camera.moved(similarity).world_to_cv[:3])
-        reconstruction.add_image_with_trivial_frame(image, pose)
-        for j, point in enumerate(model.track_point[observations]):
-            elements[point].append(pycolmap.TrackElement(i + 1, j))
-    for place, colour, seen in zip(moved_points(model.position, similarity), model.colour, elements, strict=True):
-        reconstruction.add_point3D(place, pycolmap.Track(seen), colour)
+        own = model.track_photograph == i
+        track_pixel[own] = undistorted_pixels(model.track_pixel[own], one.posed.lens)
+    tracks = Tracks(moved_points(model.position, similarity), model.colour, model.track_point, model.track_photograph, track_pixel)
+    cameras = [one.camera.moved(similarity) for one in images]
+    reconstruction = build_reconstruction([one.image.name for one in images], cameras, tracks)
     with replaced_folder(folder / MODEL) as partial:
         reconstruction.write(partial)
-
-
-def _camera_number(reconstruction: pycolmap.Reconstruction, numbers: dict[tuple[float, ...], int], camera: Camera) -> int:
-    """Return the number of a pinhole camera in the reconstruction, which is added where it is new."""
-    key = (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
-    if key not in numbers:
-        numbers[key] = len(numbers) + 1
-        added = pycolmap.Camera(
-            camera_id=numbers[key], model="PINHOLE", width=camera.width, height=camera.height, params=np.array(key[2:], np.float64)
-        )
-        reconstruction.add_camera_with_trivial_rig(added)
-    return numbers[key]
 
 
 def write_masks(images: Sequence[UndistortedImage], masks: Sequence[np.ndarray | None], folder: Path) -> None:

@@ -131,18 +131,19 @@ def triangulate_again(
     return found
 
 
-def refine_robustly(model: pycolmap.Reconstruction, freedom: Freedom) -> None:
+def refine_robustly(model: pycolmap.Reconstruction, freedom: Freedom, scale: float = ROBUST_SCALE) -> None:
     """Adjust all poses, points and intrinsics with a robust loss; principal points stay at the centres.
 
     Args:
         model: the model, which is changed.
         freedom: intrinsics that are refined.
+        scale: pixels of error at which an observation begins to count less.
     """
     options = pycolmap.BundleAdjustmentOptions()
     options.print_summary = False
     options.refine_focal_length = options.refine_extra_params = freedom is not Freedom.FIXED
     options.ceres.loss_function_type = pycolmap.LossFunctionType.CAUCHY
-    options.ceres.loss_function_scale = ROBUST_SCALE
+    options.ceres.loss_function_scale = scale
     options.ceres.solver_options.max_num_iterations = ROBUST_ITERATIONS
     options.ceres.solver_options.num_threads = 1
     config = pycolmap.BundleAdjustmentConfig()

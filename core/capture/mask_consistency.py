@@ -78,7 +78,7 @@ class _CutInput:
 
 
 def consistent_masks(
-    views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, pose_error: float = 0.0
+    views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, widening: float = 0.0
 ) -> tuple[list[np.ndarray | None], list[tuple[str, str]]]:
     """Cut the object out of all views.
 
@@ -87,7 +87,7 @@ def consistent_masks(
         region: region of the object.
         ground: ground on which the object stands, or None.
         progress: receives the phase "cut out the object", and may cancel.
-        pose_error: pixels at 640 a side by which poses may be wrong.
+        widening: pixels at 640 a side by which the masks may be wrong.
 
     Returns:
         A mask (H, W) of each view, nearly binary, None where there is none, and the names of doubtful views with the reason.
@@ -95,7 +95,7 @@ def consistent_masks(
     Raises:
         Cancelled: the user stopped the work.
     """
-    work = _Work(views, region, ground, progress, pose_error)
+    work = _Work(views, region, ground, progress, widening)
     work.run()
     return work.masks, work.doubtful()
 
@@ -104,10 +104,10 @@ class _Work:
     """State of the rounds; see `consistent_masks` for the arguments."""
 
     def __init__(
-        self, views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, pose_error: float
+        self, views: Sequence[MaskedView], region: ObjectRegion, ground: Ground | None, progress: Progress, widening: float
     ) -> None:
         self.views, self.cutouts, self.cameras = views, [one.cutout for one in views], [one.camera for one in views]
-        self.region, self.ground, self.progress, self.pose_error = region, ground, progress, pose_error
+        self.region, self.ground, self.progress, self.widening = region, ground, progress, widening
         self.masks: list[np.ndarray | None] = [None] * len(views)
         self.agreement = np.ones(len(views))
         self.refused: set[int] = set()
@@ -168,7 +168,7 @@ class _Work:
         """Carve the hull from all masks, and cut every view with the silhouette that the other views give."""
         plane = None if self.ground is None else self.ground.plane
         weights = (self.agreement >= MIN_AGREEMENT).astype(float)
-        hull = soft_hull(self.cameras, self.masks, weights, self.region.bound, plane, self.pose_error * self.pixel)
+        hull = soft_hull(self.cameras, self.masks, weights, self.region.bound, plane, self.widening * self.pixel)
         if hull is None:
             return
         found = silhouettes(hull, self.cameras)

@@ -62,7 +62,8 @@ def cut_out(
     sphere: Bound | None = None,
     given: dict[str, np.ndarray] | None = None,
     background: dict[str, np.ndarray] | None = None,
-    pose_error: float = 0.0,
+    widening: float = 0.0,
+    dense: DensePoints | None = None,
 ) -> ObjectMasks | None:
     """Cut the object that the cameras look at out of all views.
 
@@ -75,7 +76,8 @@ def cut_out(
         sphere: bounding sphere of the object in the views' frame, if the user gave it; it is then the bound of the result.
         given: masks (H, W) 0..1 that the user gave, by the view's name, for some or all views; followed but for a band at their edge.
         background: (H, W) bool by the view's name, True where the static background of a turntable is seen.
-        pose_error: pixels at 640 a side by which poses may be wrong.
+        widening: pixels at 640 a side by which masks may be wrong, where the surroundings have little texture.
+        dense: dense points of the views, if they were found before, without a sphere.
 
     Returns:
         The masks, None in views in which other things hide the user's object; None, with a message that says why, where there is no object
@@ -88,12 +90,13 @@ def cut_out(
     given, background = _not_empty(given or {}, progress), background or {}
     if not settings.masks or len(views) < MIN_MASKS:
         return None
-    if pose_error:
+    if widening:
         progress.message(
-            f"masks: few points fix the cameras, which may err by {pose_error:g} pixels; a patterned surface under the object helps"
+            f"masks: the surroundings have few features, so masks may be wrong by {widening:g} pixels; a patterned table helps"
         )
     cameras = [view.camera for view in views]
-    dense = find_dense_points(views, points, sphere, seed, progress)
+    if dense is None:
+        dense = find_dense_points(views, points, sphere, seed, progress)
     if sphere is not None:
         check_points(sphere, [dense.points.position, *([] if points is None else [points.position])])
     plane = find_support_plane(dense, cameras, seed)
@@ -111,7 +114,7 @@ def cut_out(
     cutouts = [None if behind else one for one, behind in zip(cutouts, hidden, strict=True)]
     parts = enumerate(zip(views, cutouts, strict=True))
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
-    masks, doubtful = consistent_masks(masked, region, ground, progress, pose_error)
+    masks, doubtful = consistent_masks(masked, region, ground, progress, widening)
     masks = [None if one is None or one.max() < 0.5 else soft_edges(view.colour, one) for view, one in zip(views, masks, strict=True)]
     if sum(mask is not None for mask in masks) < MIN_MASKS:
         progress.message("masks: the object could not be told from its surroundings; the photographs are used whole")

@@ -90,7 +90,7 @@ def soft_hull(
     weights: np.ndarray,
     bound: Bound,
     plane: SupportPlane | None,
-    pose_error: float = 0.0,
+    widening: float = 0.0,
 ) -> SoftHull | None:
     """Carve the soft hull: coarse cells, of which those at the surface are divided.
 
@@ -102,7 +102,7 @@ def soft_hull(
         weights: (V,) of the views, 0 where a mask is not to be trusted.
         bound: sphere outside which everything is empty.
         plane: under which everything is empty, or None.
-        pose_error: pixels by which the masks are widened, as poses may be wrong by so much.
+        widening: pixels by which the masks are widened, as they may be wrong by so much.
 
     Returns:
         The hull, None where no voxel is left.
@@ -111,16 +111,16 @@ def soft_hull(
     step = 2 * bound.radius / COARSE_CELLS
     sides = np.array([step * camera.fx / max(float(camera.project(np.asarray(bound.centre)[None])[1][0]), 1e-9) for camera in cameras])
     cells = _cells(bound, step, plane)
-    loose = _voted(cells, step, cameras, _resized(bytes_, pose_error + 0.87 * sides), weights)
+    loose = _voted(cells, step, cameras, _resized(bytes_, widening + 0.87 * sides), weights)
     cells = cells[(loose.misses < MAX_COARSE_CONTRADICTION * loose.views) & (loose.views > MIN_SEEN_FRACTION * weights.sum())]
-    strict = _voted(cells, step, cameras, _resized(bytes_, pose_error - 0.87 * sides), weights)
+    strict = _voted(cells, step, cameras, _resized(bytes_, widening - 0.87 * sides), weights)
     inner = (strict.misses < INSIDE_CONTRADICTION * strict.views) & (strict.views > MIN_SEEN_FRACTION * weights.sum())
     parts = int(np.clip(np.ceil(np.median(sides) / FINE_PIXELS), 2, MAX_CELL_PARTS))
     offsets = (np.stack(np.meshgrid(*[np.arange(parts)] * 3, indexing="ij"), -1).reshape(-1, 3) + 0.5) / parts - 0.5
     fine = (cells[~inner][:, None] + step * offsets).reshape(-1, 3)
     if plane is not None:
         fine = fine[plane.height(fine) > 0]
-    narrowed = _resized(bytes_, pose_error - 0.5 * sides / parts)
+    narrowed = _resized(bytes_, widening - 0.5 * sides / parts)
     voxels = _voted(fine, step / parts, cameras, narrowed, weights)
     voxels = voxels.select((voxels.misses < OUTSIDE_CONTRADICTION * voxels.views) & (voxels.views > MIN_SEEN_FRACTION * weights.sum()))
     hull = SoftHull([strict.select(inner), voxels], narrowed, weights)

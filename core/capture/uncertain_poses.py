@@ -22,10 +22,10 @@ from .sparse_model import PosedPhotograph, SparseModel
 # others, and .02 to .04 in the median.
 MAX_DEVIATION, MAX_MEDIANS = 0.1, 4.0
 MAX_FRACTION = 0.1  # fraction of the photographs; where more are uncertain, the scene has few points, and none is left out
-# Pixels that poses are taken to err for each of the median deviation: errors are not independent. Six captures with 690 to 1,285 points a
-# photograph have deviations of .02 to .04 and errors of .06 to .14 pixels, two with 61 and 64 points .18 and .08, and errors of 1.0 and .9.
-ERROR_FACTOR = 10.0
-MAX_ERROR = 3  # pixels, of that
+# Pixels by which masks may be wrong for each of the median deviation. Six captures with 690 to 1,285 points a photograph have deviations
+# of .02 to .04, two with 61 and 64 points .18 and .08: their tables are plain, and colours alone tell thin parts of the object from them.
+WIDENING_FACTOR = 10.0
+MAX_WIDENING = 3  # pixels, of that
 MEAN_TO_DEVIATION = 0.8  # standard deviation of an error along an axis over the mean length of errors in the plane
 
 
@@ -47,13 +47,15 @@ def without_uncertain_poses(model: SparseModel) -> SparseModel:
     return replace(kept, left_out=[*kept.left_out, *reasons])
 
 
-def pose_error(model: SparseModel) -> int:
-    """Return the pixels, at 640 a side, by which most photographs may show the object beside its place, rounded; 0 for given cameras.
+def mask_widening(model: SparseModel) -> int:
+    """Return the pixels, at 640 a side, by which masks may be wrong, rounded; 0 for given cameras.
+
+    Few features fix the cameras where the surroundings have little texture, and there masks rest on colours alone.
 
     Args:
-        model: with observations.
+        model: of features, with observations.
     """
-    return 0 if model.has_given_cameras else round(min(ERROR_FACTOR * float(np.median(place_deviations(model))), MAX_ERROR))
+    return 0 if model.has_given_cameras else round(min(WIDENING_FACTOR * float(np.median(place_deviations(model))), MAX_WIDENING))
 
 
 def place_deviations(model: SparseModel) -> np.ndarray:

@@ -75,6 +75,18 @@ def undistorted_pixels(pixels: np.ndarray, lens: Lens) -> np.ndarray:
     return convert(places, matrix(lens), coefficients, P=matrix(plain)).reshape(-1, 2)
 
 
+def distorted_pixels(pixels: np.ndarray, lens: Lens) -> np.ndarray:
+    """Return the places (N, 2) in the image of a lens of places (N, 2) in the undistorted image; pixel centres are at .5."""
+    plain = pinhole(lens)
+    if not len(pixels) or not lens.distorted:
+        return np.asarray(pixels, np.float64).reshape(-1, 2)
+    rays = (np.asarray(pixels, np.float64) - [plain.cx, plain.cy]) / [plain.fx, plain.fy]
+    matrix = np.array([[lens.fx, 0, lens.cx], [0, lens.fy, lens.cy], [0, 0, 1]], np.float64)
+    project = cv2.fisheye.projectPoints if lens.fisheye else cv2.projectPoints
+    rays = np.concatenate([rays, np.ones((len(rays), 1))], 1)[:, None]
+    return project(rays, np.zeros(3), np.zeros(3), matrix, np.array(lens.distortion, np.float64))[0].reshape(-1, 2)
+
+
 def _undistorted(posed: PosedPhotograph, folder: Path, resolution: int) -> UndistortedImage:
     photograph, lens = posed.photograph, posed.lens
     decoded = read_image(photograph.image)

@@ -57,7 +57,7 @@ def find_cameras(photographs: Path) -> Iterator[float]:
     yield 1.0
     driver.shot("71_matching")
     driver.sidebar_shot("71_matching_sidebar")
-    yield from driver.wait(lambda: job.finished or job.phase == "dense points", PATIENCE)
+    yield from driver.wait(lambda: job.finished or job.phase == "cut out the object", PATIENCE)
     driver.sidebar_shot("72_cutting_out")
     yield from driver.wait(lambda: job.finished, PATIENCE)
     assert job.state == "done" and not job.error, (job.state, job.error)

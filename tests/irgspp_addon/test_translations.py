@@ -28,7 +28,8 @@ FILES = sorted(
 NOT_TRANSLATED = {
     *("%d %b", "Error: ", "IRGS++ Mask", "Reconstructions", "ShaderNodeTexImage", "IRGS++"),
     *("read images", "quick fit", "first stage", "second stage", "turn surfels", "contact sheet", "read photographs", "find features"),
-    *("match photographs", "find poses", "undistort photographs", "dense points", "cut out the object", "cuda can be used"),
+    *("match photographs", "find poses", "undistort photographs", "dense points", "refine poses", "cut out the object"),
+    "cuda can be used",
 }
 FORMATTED = {  # f-strings with words: units, which are the same in all languages, the ends of errors, and lines of a log
     "f'{whole // 60}:{whole % 60:02d} min'",

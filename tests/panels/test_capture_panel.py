@@ -102,7 +102,7 @@ def test_the_job_is_shown_below_its_button(settings, photos):
     job.data, job.made = {"run": str(folder)}, time.time() + 1
     jobs._jobs[job.id] = job
     drawn = draw(cameras.IRGSPP_PT_cameras)
-    assert ("progress", 0.25, "25 %") in drawn.drawn and "Step 3 of 6: Matching photographs" in drawn.words
+    assert ("progress", 0.25, "25 %") in drawn.drawn and "Step 3 of 7: Matching photographs" in drawn.words
     job.state, job.error = "failed", "the photographs do not overlap"
     drawn = draw(cameras.IRGSPP_PT_cameras)
     assert "the photographs do not overlap" in drawn.words and not drawn.buttons("irgspp.job_resume")  # nothing to go on from

@@ -51,8 +51,8 @@ def test_every_phase_that_a_reconstruction_names_has_words():
 def test_every_phase_that_a_capture_names_has_words():
     assert phases_of("capture") | {"read photographs"} == set(CAPTURE_NUMBERS)
     last = f"of {len(CAPTURE_STEPS)}: Cutting out the object"
-    assert phase_in_words("capture", "dense points") == f"Step 6 {last}"
-    assert phase_in_words("reconstruct", "cut out the object") == f"Cameras, step 6 {last}"  # of photographs without cameras
+    assert phase_in_words("capture", "cut out the object") == f"Step 7 {last}"
+    assert phase_in_words("reconstruct", "cut out the object") == f"Cameras, step 7 {last}"  # of photographs without cameras
     assert phase_in_words("bake", "match photographs") == "Match photographs"
 
 

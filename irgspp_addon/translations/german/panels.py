@@ -147,6 +147,7 @@ TEXTS: dict[str, str] = {
     "Matching photographs": "Fotos werden verglichen",
     "Finding the cameras": "Kameras werden gesucht",
     "Undistorting photographs": "Fotos werden entzerrt",
+    "Refining the cameras": "Kameras werden verfeinert",
     "Cutting out the object": "Objekt wird ausgeschnitten",
     # Look
     "Open a Run": "Lauf öffnen",

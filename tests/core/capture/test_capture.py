@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from irgspp.core.capture import capture as module
+from irgspp.core.capture import posed_photographs
 from irgspp.core.capture.capture import capture
 from irgspp.core.capture.marker import MarkerScale
 from irgspp.core.capture.mask_consistency import overlap
@@ -68,7 +69,7 @@ def known_points(dense, monkeypatch):
 
 def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_points, heard, tmp_path, monkeypatch):
     marker = MarkerScale("4X4 id 7", 0.2, 5, 0.1)
-    monkeypatch.setattr(module, "find_marker_scale", lambda model, side, read: marker)
+    monkeypatch.setattr(posed_photographs, "find_marker_scale", lambda model, side, read: marker)
     progress = heard()
     folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, marker=0.05), 0, progress)
     data = load_dataset(folder)

@@ -78,13 +78,13 @@ def test_empty_masks_carve_nothing_away(table_scene, known_points):
     assert "masks: the masks of view00, view01, view02, view03 are empty" in lines.lines[0]
 
 
-def test_uncertain_cameras_are_told_and_cost_little(table_scene, known_points):
+def test_uncertain_masks_are_told_and_cost_little(table_scene, known_points):
     """Masks that are widened before they carve still end at the object's edges."""
     lines = Lines()
-    found = cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, lines, pose_error=2)
+    found = cut_out(table_scene.views, table_scene.points, CaptureSettings(), 0, lines, widening=2)
     assert found is not None
     assert overlaps(found, table_scene).min() > 0.9
-    assert any("may err by 2 pixels" in line for line in lines.lines)
+    assert any("may be wrong by 2 pixels" in line for line in lines.lines)
 
 
 def test_a_facade_is_not_cut_out():

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from irgspp.core.capture.photograph import Photograph
 from irgspp.core.capture.sparse_model import PosedPhotograph, SparseModel
-from irgspp.core.capture.uncertain_poses import MAX_ERROR, place_deviations, pose_error, without_uncertain_poses
+from irgspp.core.capture.uncertain_poses import MAX_WIDENING, mask_widening, place_deviations, without_uncertain_poses
 from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.scene.camera import Camera, look_at
 from scipy.optimize import least_squares
@@ -90,12 +90,12 @@ def test_a_photograph_without_enough_points_has_no_certain_place():
     assert [one.name for one in without_uncertain_poses(few).left_out] == ["p3"]
 
 
-def test_error_of_poses_grows_with_the_points_errors():
+def test_masks_are_widened_where_features_err():
     exact = model()
-    assert pose_error(exact) == 0
-    assert pose_error(replace(exact, error=4 * ERROR)) == round(40 * float(np.median(place_deviations(exact)))) > 0
-    assert pose_error(replace(exact, error=1000 * ERROR)) == MAX_ERROR
+    assert mask_widening(exact) == 0
+    assert mask_widening(replace(exact, error=4 * ERROR)) == round(40 * float(np.median(place_deviations(exact)))) > 0
+    assert mask_widening(replace(exact, error=1000 * ERROR)) == MAX_WIDENING
 
 
-def test_cameras_that_a_dataset_gives_do_not_err():
-    assert pose_error(replace(model(), error=None)) == 0
+def test_masks_of_given_cameras_are_not_widened():
+    assert mask_widening(replace(model(), error=None)) == 0

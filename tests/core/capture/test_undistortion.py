@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from captured_scene import LENS, POINTS, VIEWS, distorted_pixels, sparse_model
+from irgspp.core.capture.undistortion import distorted_pixels as places_in_photograph
 from irgspp.core.capture.undistortion import undistort_photographs, undistorted_pixels
 from irgspp.core.errors import Cancelled, InputError
 from irgspp.core.io.image import read_image
@@ -61,3 +62,12 @@ def test_cancelling(tmp_path):
 
     with pytest.raises(Cancelled):
         undistort_photographs(sparse_model(tmp_path / "photographs"), tmp_path, 48, Stopped())
+
+
+def test_distorted_places_are_those_of_the_photograph(tmp_path):
+    model = sparse_model(tmp_path / "photographs")
+    for one in model.posed:
+        pixels = distorted_pixels(model.position, one.to_world)
+        assert places_in_photograph(undistorted_pixels(pixels, LENS), LENS) == pytest.approx(pixels, abs=1e-3)
+    plain = replace(LENS, distortion=())
+    assert places_in_photograph(pixels, plain) == pytest.approx(pixels)
