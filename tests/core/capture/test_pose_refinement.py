@@ -109,7 +109,7 @@ def test_photographs_without_texture_keep_their_poses(table_scene, heard):
     lines = heard()
     found = refine_poses(model, plain, {}, 0, lines)
     assert found.model is model
-    assert lines.messages == ["poses: patches of surface fit no better after a refinement, so they stay as they are"]
+    assert lines.messages == ["poses: patches of surface fit hardly better after a refinement, so they stay as they are"]
 
 
 def test_another_focal_length_leaves_the_undistorted_image_as_it_is():
