@@ -7,29 +7,32 @@ import dataclasses
 import os
 import shutil
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from ..capture.source import posed_dataset
-from ..detail.albedo_detail import detailed_by_dataset
 from ..detail.report import DetailReport
 from ..errors import Cancelled, InputError, IrgsppError
 from ..io.file_lock import FileLock
 from ..machine.cpu_memory import check_texture_memory
 from ..machine.disk_space import check_texture_disk_space
+from ..machine.quick_imports import quick_imports
 from ..progress.protocol import Progress
 from ..run_folder import RunFolder, read_run
 from ..scene.camera_files import load_run_cameras
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import save_mesh_ply
-from ..scene.reconstruction import Reconstruction
 from ..scene.textures import CHANNELS, save_textures
 from ..settings import overrides
 from ..settings.schema import Settings, SurfaceSettings
 from ..surface.height import height_line
+from .bake_target import BakeTarget
 from .blend_file import write_blend
 from .fitted_textures import texture_line, texture_state
 from .kept_bake import baked_bits, baked_size, drop_kept_bake, is_made_from_bake, keep_bake, mesh_at_size
 from .mesh_files import save_asset_glb
-from .rebaked_mesh import BakeTarget, rebaked_mesh
+
+if TYPE_CHECKING:
+    from ..scene.reconstruction import Reconstruction
 
 PARTIAL = "bake.part"  # folder in the run folder that is completed before any file of the run is replaced
 
@@ -94,6 +97,9 @@ def bake(
 
 def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: Progress) -> None:
     """Bake, and replace the run's mesh and textures."""
+    with quick_imports():
+        from .rebaked_mesh import rebaked_mesh  # torch takes a second or two, which other sizes and bad arguments need not wait for
+
     run, size = folder.path, settings.surface.texels
     made, edited = rebaked_mesh(run, settings.surface, target, progress), target.edited
     mesh, report = _detailed(made.mesh, made.reconstruction, run, settings, str(folder.state["dataset"]), progress)
@@ -159,6 +165,9 @@ def _detailed(
     except InputError as error:
         progress.message(f"warning: {error}; the texture takes no detail from its photographs")
         return mesh, DetailReport(False, "the photographs are gone")
+    with quick_imports():
+        from ..detail.albedo_detail import detailed_by_dataset
+
     return detailed_by_dataset(mesh, reconstruction, posed, cameras, settings, progress)
 
 

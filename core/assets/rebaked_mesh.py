@@ -27,36 +27,8 @@ from ..surface.meshing import Triangles, vertex_normals
 from ..surface.normal_source import NormalSource, run_normal_source
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
 from ..surface.voxel_grid import make_grid
+from .bake_target import BakeTarget
 from .quad_mesh import quad_mesh
-
-
-@dataclass(frozen=True)
-class BakeTarget:
-    """Mesh to bake onto, and optional textures.
-
-    Attributes:
-        triangles: largest number of triangles of a new mesh that is extracted from the Gaussians; None for none.
-        edited: PLY in the run's world frame that replaces the mesh; None for none.
-        quads: approximate number of quads that the run's mesh is remeshed to; None for none.
-        height: True to bake the height of the surface as it is fused above the mesh.
-    """
-
-    triangles: int | None = None
-    edited: Path | None = None
-    quads: int | None = None
-    height: bool = False
-
-    @property
-    def keeps_mesh(self) -> bool:
-        """True where the run's mesh stays."""
-        return self.triangles is None and self.edited is None and self.quads is None
-
-    def check(self) -> None:
-        """Raise InputError where more than one mesh is asked for."""
-        meshes = {"--triangles": self.triangles, "--mesh": self.edited, "--quads": self.quads}
-        given = [name for name, value in meshes.items() if value is not None]
-        if len(given) > 1:
-            raise InputError(given[0], f"can't be combined with {given[1]}", "give one of them")
 
 
 @dataclass(frozen=True, eq=False)

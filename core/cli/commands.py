@@ -9,13 +9,13 @@ import json
 from pathlib import Path
 
 from ..errors import InputError
+from ..machine.quick_imports import quick_imports
 from ..progress.recorder import JobRecorder
 from ..progress.terminal import Terminal
 from ..run_folder import SPHERE, read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import Settings, preset
 from .option_values import distance
-from .quick_imports import quick_imports
 from .renderer_options import relight_settings
 
 HAS_CAMERAS = "leave it out; a capture is changed by irgspp capture"

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..errors import InputError
+from ..machine.quick_imports import quick_imports
 from ..progress.terminal import Terminal
 from ..rendering.layers import LAYERS
 from ..run_folder import read_run
 from ..settings.overrides import from_dict, with_overrides
 from ..settings.schema import DataSettings
-from .quick_imports import quick_imports
 from .renderer_options import add_renderer_options, relight_settings
 
 if TYPE_CHECKING:

@@ -22,9 +22,9 @@ from pathlib import Path
 
 from ..errors import InputError
 from ..machine.parent_watch import on_parent_exit
+from ..machine.quick_imports import quick_imports
 from ..machine.version import VERSION
 from ..progress.terminal import Terminal
-from .quick_imports import quick_imports
 
 
 def serve(args: argparse.Namespace, terminal: Terminal) -> int:

@@ -57,6 +57,11 @@ def test_help_imports_nothing_heavy():
     assert subprocess.run([sys.executable, "-P", "-c", code], capture_output=True).returncode == 0
 
 
+def test_a_bake_that_is_refused_or_changes_the_size_alone_does_not_wait_for_torch():
+    code = "import sys, irgspp.core.assets.rebake; sys.exit('torch' in sys.modules)"
+    assert subprocess.run([sys.executable, "-P", "-c", code], check=False).returncode == 0
+
+
 def test_module_runs(tmp_path):
     command = [sys.executable, "-P", "-m", "irgspp", "inspect", str(tmp_path / "missing")]
     process = subprocess.run(command, capture_output=True, text=True)

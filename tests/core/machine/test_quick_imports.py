@@ -4,7 +4,7 @@
 import gc
 
 import pytest
-from irgspp.core.cli.quick_imports import quick_imports
+from irgspp.core.machine.quick_imports import quick_imports
 
 
 @pytest.fixture(autouse=True)
