@@ -8,6 +8,7 @@ CPU device.
 import math
 import os
 import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,14 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.shading.procedural_lights import sky_light
 from irgspp.core.stages.first import trainer
-from torch.utils import _pytree, backend_registration
+from irgspp.core.stages.second.solver import solver_run
+from torch.utils import backend_registration
 from torch.utils._python_dispatch import TorchDispatchMode
 
 NAME = "emulated"
 backend_registration._setup_privateuseone_for_python_backend(NAME)
 GPU = torch.device(NAME, 0)
+START_STEPS = 6  # of the solver before two starts are compared, instead of 20: more repeat the same operations
 # Operations for which torch itself moves a tensor from the CPU to the GPU.
 MIXED = ("aten::index", "aten::_index_put_impl_", "aten::index_put", "aten::index_put_", "aten::copy_", "aten::_to_copy")
 
@@ -53,32 +56,60 @@ class EmulatedTensor(torch.Tensor):
         return computed(func, args, kwargs or {})
 
 
+def tensors_in(values: Any, found: list[torch.Tensor]) -> list[torch.Tensor]:
+    """Append the tensors in nested lists and tuples to a list, and return it; torch's own functions for trees take much longer."""
+    for value in values:
+        if isinstance(value, torch.Tensor):
+            found.append(value)
+        elif isinstance(value, (list, tuple)):
+            tensors_in(value, found)
+    return found
+
+
+def mapped(value: Any, change: Callable[[Any], Any]) -> Any:
+    """Change each value in nested lists and tuples."""
+    return type(value)([mapped(part, change) for part in value]) if type(value) in (list, tuple) else change(value)
+
+
+def on_cpu(value: Any) -> Any:
+    return value.raw if isinstance(value, EmulatedTensor) else torch.device("cpu") if value == GPU else value
+
+
 def computed(func: Any, args: Any, kwargs: dict[str, Any]) -> Any:
     """Compute an operation that involves the emulated GPU."""
-    flat, shape = _pytree.tree_flatten((args, kwargs))
-    ours = {id(t.raw): t for t in flat if isinstance(t, EmulatedTensor)}
+    given = tensors_in((*args, *kwargs.values()), [])
+    ours = {id(t.raw): t for t in given if isinstance(t, EmulatedTensor)}
     name, device = func._schema.name, kwargs.get("device")
-    for t in flat:
-        if isinstance(t, torch.Tensor) and not isinstance(t, EmulatedTensor) and ours and t.ndim and name not in MIXED:
+    for t in given:
+        if not isinstance(t, EmulatedTensor) and ours and t.ndim and name not in MIXED:
             raise RuntimeError(f"{name}: tensors on {NAME} and on {t.device}")
-    plain = [t.raw if isinstance(t, EmulatedTensor) else torch.device("cpu") if t == GPU else t for t in flat]
-    args, kwargs = _pytree.tree_unflatten(plain, shape)
-    out = func(*args, **kwargs)
+    out = func(*mapped(args, on_cpu), **{key: mapped(value, on_cpu) for key, value in kwargs.items()})
     if name == "aten::_local_scalar_dense" or (device is not None and torch.device(device).type == "cpu"):
         return out
     if name == "aten::_to_copy" and device is None and not ours:
         return out
-    return _pytree.tree_map_only(torch.Tensor, lambda t: ours.get(id(t)) if id(t) in ours else EmulatedTensor(t), out)
+
+    def on_gpu(value: Any) -> Any:
+        if not isinstance(value, torch.Tensor):
+            return value
+        return ours[id(value)] if id(value) in ours else EmulatedTensor(value)
+
+    return mapped(out, on_gpu)
 
 
 class Emulation(TorchDispatchMode):
     """Mode in which operations on the emulated GPU are computed."""
 
+    @classmethod
+    def _should_skip_dynamo(cls) -> bool:
+        """Leave out the guard that torch's compiler, which nothing here uses, has around each operation."""
+        return False
+
     def __torch_dispatch__(self, func: Any, types: Any, args: Any = (), kwargs: Any = None) -> Any:
         kwargs = kwargs or {}
-        flat = _pytree.tree_leaves((args, kwargs))
         device = kwargs.get("device")
-        if (device is not None and torch.device(device).type == NAME) or any(isinstance(t, EmulatedTensor) for t in flat):
+        given = tensors_in((*args, *kwargs.values()), [])
+        if (device is not None and torch.device(device).type == NAME) or any(isinstance(t, EmulatedTensor) for t in given):
             return computed(func, args, kwargs)
         return func(*args, **kwargs)
 
@@ -113,6 +144,7 @@ def emulate() -> None:
     torch.Tensor.new_tensor = lambda like, values: make(values, dtype=like.dtype).to(like.device)
     chosen = devices.ChosenDevice(GPU, "emulated", True, 80 << 30)
     pipeline.write_blend = lambda *_: None  # slow, and independent of the GPU
+    solver_run.START_STEPS = START_STEPS
     trainer.CHECKPOINT_SECONDS = math.inf  # torch can't save the emulated tensors, and a busy machine takes longer than this
     pipeline.trusted_device = lambda name, say: chosen
     devices.choose_device = lambda name: chosen

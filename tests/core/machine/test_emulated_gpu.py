@@ -12,15 +12,16 @@ from irgspp.core import pipeline
 from irgspp.core.pipeline import reconstruct
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
+from irgspp.core.stages.second.solver import solver_run
 from small_scenes import small_scene
 
 SCENE = small_scene("bowl")  # it has half as many views as the demo's
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
 TINY = [
-    "materials=glossy", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
+    "materials=glossy", "data.resolution=40", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
     "first.trial_gaussians=400", "second.points=150", "second.rows=6", "second.views=4", "second.iterations=4",
     "second.pixels=32", "second.samples=8", "second.pool=1000", "second.radiance_iterations=3", "second.normal_iterations=8",
-    "surface.voxels=40", "surface.triangles=1000", "surface.texture=64",
+    "surface.voxels=32", "surface.triangles=600", "surface.texture=64",
 ]  # fmt: skip
 
 
@@ -32,6 +33,7 @@ def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
     done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert done.returncode == 0, done.stderr[-3000:]
     monkeypatch.setattr(pipeline, "write_blend", lambda *_: None)
+    monkeypatch.setattr(solver_run, "START_STEPS", 6)  # as there
     reconstruct(SCENE, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
     states = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("gpu", "cpu")]
     assert [state["computed_on"]["device"] for state in states] == ["emulated:0", "cpu"]
