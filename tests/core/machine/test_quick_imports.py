@@ -2,6 +2,7 @@
 """The garbage collector pauses during imports, and is afterwards as it was."""
 
 import gc
+import sys
 
 import pytest
 from irgspp.core.machine.quick_imports import quick_imports
@@ -33,3 +34,19 @@ def test_collector_that_was_off_stays_off():
     with quick_imports():
         pass
     assert not gc.isenabled()
+
+
+def test_collector_leaves_out_what_was_loaded(tmp_path, monkeypatch):
+    (tmp_path / "module_of_a_test.py").write_text("things = [[]]\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    gc.unfreeze()
+    with quick_imports():
+        import gc as again  # noqa: F401
+    assert gc.get_freeze_count() == 0  # nothing was loaded
+    with quick_imports():
+        import module_of_a_test
+    try:
+        assert gc.get_freeze_count() > 0 and not any(thing is module_of_a_test.things for thing in gc.get_objects())
+    finally:
+        gc.unfreeze()
+        monkeypatch.delitem(sys.modules, "module_of_a_test")
