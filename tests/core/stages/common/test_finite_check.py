@@ -188,12 +188,15 @@ def half_done(tmp_path_factory):
         (bad_roughness, "roughness is not finite after step 9 of the second stage (1 of"),
         (bad_assignment, "a material is not finite at the end of the second stage (1 of"),
         (bad_refinement, "albedo is not finite after iteration 1 (1 of"),
-        (bad_radiance, "the radiance's loss is not finite at iteration 1"),
     ],
 )
 def test_second_stage_stops_and_keeps_the_first(half_done, monkeypatch, tmp_path, capsys, fault, message):
-    """What a resumed run reads is as before the failure."""
-    run = shutil.copytree(half_done, tmp_path / "run")
+    check_that_it_stops(half_done, monkeypatch, tmp_path / "run", capsys, fault, message)
+
+
+def check_that_it_stops(half_done, monkeypatch, run, capsys, fault, message):
+    """Check that what a resumed run reads is as before the failure."""
+    shutil.copytree(half_done, run)
     with monkeypatch.context() as patch:
         fault(patch)
         assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 1
@@ -212,10 +215,9 @@ def saved_files(run: Path) -> dict[Path, bytes]:
     return {path.relative_to(folder): path.read_bytes() for path in folder.rglob("*") if path.is_file()}
 
 
-def test_failed_second_stage_can_be_resumed(half_done, monkeypatch, tmp_path):
-    run = shutil.copytree(half_done, tmp_path / "run")
-    with monkeypatch.context() as patch:
-        bad_radiance(patch)  # the latest fault of all
-        assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 1
+def test_failed_second_stage_can_be_resumed(half_done, monkeypatch, tmp_path, capsys):
+    """Here after the latest fault of all."""
+    run = tmp_path / "run"
+    check_that_it_stops(half_done, monkeypatch, run, capsys, bad_radiance, "the radiance's loss is not finite at iteration 1")
     assert main(["reconstruct", str(SCENE), "-o", str(run), "--resume"]) == 0
     assert read_run(run)["status"] == "done"

@@ -18,6 +18,12 @@ def scene():
     return make(120, 60)
 
 
+@pytest.fixture
+def idle(monkeypatch):
+    """Let the solver's steps do nothing, for tests of their order alone."""
+    monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: None)
+
+
 def unsplit(transfer, light):
     """Leave the texels as they are."""
     return transfer, np.arange(transfer.texels.count)
@@ -34,9 +40,15 @@ def test_a_dark_glossy_object_is_found_under_its_bright_light(scene):
     assert chosen.total_error() < 0.8 * plain.total_error()
     error = [abs(float((solver.light.mean() / (8 * light).mean()).log())) for solver in (plain, chosen)]
     assert error[1] < min(0.5 * error[0], 0.3)
-    without = start(seen, transfer)
-    without = run_solver(without, unsplit, try_dark=False)
-    assert without.start_albedo == MEDIUM_ALBEDO
+
+
+def test_no_dark_start_is_tried_where_none_is_asked_for(scene, idle, monkeypatch):
+    transfer, seen, _ = scene
+    monkeypatch.setattr(solver_run, "_dark_start_is_better", lambda *_: True)
+    chosen, without = start(seen, transfer), start(seen, transfer)
+    run_solver(chosen, unsplit, lambda done: True)
+    run_solver(without, unsplit, lambda done: True, try_dark=False)
+    assert (chosen.start_albedo, without.start_albedo) == (DARK_ALBEDO, MEDIUM_ALBEDO)
 
 
 def test_the_start_stays_where_it_explains_the_photographs_as_well(scene):
@@ -53,15 +65,16 @@ def test_coarse_light_is_taken_back_where_it_is_clearly_better(scene, monkeypatc
     solver, coarse, original = start(seen, transfer), [], LightMaterialSolver.copied
     monkeypatch.setattr(LightMaterialSolver, "copied", lambda self: coarse.append(original(self)) or coarse[-1])
     monkeypatch.setattr(LightMaterialSolver, "total_error", lambda self: error if self in coarse else 1.0)
-    steps, advance = [], LightMaterialSolver.advance
-    monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: (self in coarse and steps.append(done)) or advance(self, done))
+    monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: 0.0)
+    steps = []
+    monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: self in coarse and steps.append(done))
     result = run_solver(solver, unsplit, try_dark=False)
     assert result is (coarse[0] if taken else solver) and len(coarse) == 1
     assert steps == list(range(SPLIT_STEPS[0], STEPS if taken else COARSE_STEPS))  # otherwise given up early
 
 
 @pytest.mark.parametrize("last", [3, SPLIT_STEPS[0] + 3, STEPS])
-def test_steps_are_told_once_each_and_may_end_the_run(scene, last):
+def test_steps_are_told_once_each_and_may_end_the_run(scene, idle, last):
     transfer, seen, _ = scene
     told = []
     run_solver(start(seen, transfer), unsplit, lambda done: told.append(done) or done == last)
@@ -93,7 +106,7 @@ def test_the_roughness_of_metal_stays_while_the_rest_settles(scene):
     assert not changed[metallic > 0].any() and changed[metallic == 0].any()
 
 
-def test_settling_ends_where_the_roughness_stays_or_it_is_asked_to(scene, monkeypatch):
+def test_settling_ends_where_the_roughness_stays_or_it_is_asked_to(scene, idle, monkeypatch):
     transfer, seen, _ = scene
     changes, passes = [0.1, 0.05, 1e-3, 0.1], []
     monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: passes.append(changes[len(passes)]) or passes[-1])
