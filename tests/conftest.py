@@ -76,6 +76,7 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
 
 
 def pytest_collection_finish() -> None:
+    gc.freeze()  # what was imported is left out of the search for garbage
     gc.enable()
 
 
@@ -96,6 +97,7 @@ _ended: list[int] = []  # pytest's exit status, once it is known
 
 def pytest_sessionfinish(session: pytest.Session, exitstatus: int) -> None:
     _ended.append(int(exitstatus))
+    gc.unfreeze()  # Blender's module must be released
 
 
 def pytest_unconfigure(config: pytest.Config) -> None:

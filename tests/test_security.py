@@ -6,6 +6,7 @@ import os
 import stat
 import sys
 import tomllib
+from functools import cache
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import blender_side  # noqa: F401  (before what imports bpy)
@@ -20,7 +21,6 @@ from irgspp.irgspp_addon.jobs import queue as jobs
 ROOT = Path(__file__).resolve().parents[1]
 PARTS = ("core", "irgspp_addon", "operators", "panels")
 SOURCES = [ROOT / "__init__.py", ROOT / "__main__.py", *(f for part in PARTS for f in sorted((ROOT / part).rglob("*.py")))]
-TREES = {file.relative_to(ROOT).as_posix(): ast.parse(file.read_text("utf-8")) for file in SOURCES}
 
 # Files that run code that is not imported by name: our own files, next to the one that runs them.
 RUNS_OUR_FILES = {"irgspp_addon/engine/worker.py", "irgspp_addon/launch.py"}
@@ -29,6 +29,20 @@ UNPICKLERS = {
     f"{module}.{name}" for module in ("pickle", "marshal", "dill", "cloudpickle", "joblib") for name in ("load", "loads", "Unpickler")
 }
 NETWORK = {"socket", "ssl", "http", "urllib", "urllib3", "requests", "ftplib", "smtplib", "xmlrpc", "asyncio", "websockets", "webbrowser"}
+
+
+@cache
+def nodes():
+    """Return (file, node) of every node of the sources' syntax trees."""
+    trees = ((file.relative_to(ROOT).as_posix(), ast.parse(file.read_text("utf-8"))) for file in SOURCES)
+    return [(file, node) for file, tree in trees for node in ast.walk(tree)]
+
+
+@pytest.fixture(scope="module", autouse=True)
+def _nodes():
+    """Forget them after these tests: every search for garbage would go through a million objects."""
+    yield
+    nodes.cache_clear()
 
 
 def dotted(node):
@@ -40,17 +54,16 @@ def dotted(node):
 
 def calls(*names):
     """Return (file, call) of every call by one of these names."""
-    return [(f, n) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Call) and dotted(n.func) in names]
+    return [(f, n) for f, n in nodes() if isinstance(n, ast.Call) and dotted(n.func) in names]
 
 
 def imported():
     """Yield (file, top module) of every import, also inside functions."""
-    for file, tree in TREES.items():
-        for node in ast.walk(tree):
-            if isinstance(node, ast.Import):
-                yield from ((file, alias.name.split(".")[0]) for alias in node.names)
-            elif isinstance(node, ast.ImportFrom) and not node.level:
-                yield file, (node.module or "").split(".")[0]
+    for file, node in nodes():
+        if isinstance(node, ast.Import):
+            yield from ((file, alias.name.split(".")[0]) for alias in node.names)
+        elif isinstance(node, ast.ImportFrom) and not node.level:
+            yield file, (node.module or "").split(".")[0]
 
 
 def keyword(call, name):
@@ -70,9 +83,7 @@ def test_no_shell():
 
 def test_only_arrays_come_out_of_pickles():
     assert not calls(*UNPICKLERS)
-    unpicklers = [
-        f for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.ClassDef) and "pickle.Unpickler" in map(dotted, n.bases)
-    ]
+    unpicklers = [f for f, n in nodes() if isinstance(n, ast.ClassDef) and "pickle.Unpickler" in map(dotted, n.bases)]
     assert unpicklers == ["core/io/safe_pickle.py"]
     assert {file for file, module in imported() if module == "pickle"} <= {"core/io/safe_pickle.py", "core/run_folder.py"}
     for file, call in calls("torch.load"):
@@ -85,7 +96,7 @@ def test_only_arrays_come_out_of_pickles():
 def test_temporary_files_are_private():
     """mkstemp and mkdtemp make files that no other user can open; mktemp and fixed names do not."""
     assert not calls("tempfile.mktemp", "os.tempnam")
-    texts = [(f, n.value) for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    texts = [(f, n.value) for f, n in nodes() if isinstance(n, ast.Constant) and isinstance(n.value, str)]
     assert not [(f, text) for f, text in texts if text.startswith(("/tmp", "/var/tmp", "C:\\"))]
     assert {f for f, _ in calls("tempfile.gettempdir")} <= {"core/machine/cache_folder.py"}  # which checks the owner of the folder
 
@@ -96,9 +107,9 @@ def test_declared_permissions_are_those_that_are_used():
     assert set(manifest["permissions"]) == {"files", "network"}
     found = {(file, module) for file, module in imported() if module in NETWORK}
     assert not found
-    attributes = {n.attr for tree in TREES.values() for n in ast.walk(tree) if isinstance(n, ast.Attribute)}
+    attributes = {n.attr for _, n in nodes() if isinstance(n, ast.Attribute)}
     assert not attributes & {"clipboard", "url_open"}
-    online = [f for f, tree in TREES.items() for n in ast.walk(tree) if isinstance(n, ast.Attribute) and n.attr == "online_access"]
+    online = [f for f, n in nodes() if isinstance(n, ast.Attribute) and n.attr == "online_access"]
     assert online and all(f.startswith("operators/") for f in online)  # asked before the installer may use the network
 
 
@@ -125,6 +136,7 @@ def test_notes_of_jobs_are_their_users_alone(registry, counter):
 
 def test_engine_is_installed_from_known_files():
     """tests/irgspp_addon/test_install_engine.py has the rest; here: pip never reads an index while it installs."""
-    tree = TREES["irgspp_addon/engine/install.py"]
-    words = [n.value for n in ast.walk(tree) if isinstance(n, ast.Constant) and isinstance(n.value, str)]
+    words = [
+        n.value for f, n in nodes() if f == "irgspp_addon/engine/install.py" and isinstance(n, ast.Constant) and isinstance(n.value, str)
+    ]
     assert {"download", "--no-index", "--no-deps", "--only-binary"} <= set(words)
