@@ -28,6 +28,7 @@ SETTINGS = [
     "first.gaussians=600",
     "first.light_height=16",
     "surface.voxels=32",
+    "surface.triangles=1000",
     "surface.texture=64",
 ]
 SETTINGS += [
@@ -35,7 +36,9 @@ SETTINGS += [
     "second.views=4",
     "second.rows=4",
     "second.iterations=4",
-    "second.pool=2000",
+    "second.pixels=32",
+    "second.samples=8",
+    "second.pool=1000",
     "second.radiance_iterations=4",
 ]
 SETTINGS += ["second.normal_iterations=4"]
