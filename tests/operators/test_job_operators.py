@@ -6,7 +6,7 @@ import json
 import bpy
 import pytest
 from blender_side import ENGINE
-from engine_jobs import DATASET, TINY, until
+from engine_jobs import DATASET, TINY, leave_finished, until
 from engine_jobs import counter as counter
 from engine_jobs import registry as registry
 from irgspp.core.errors import IrgsppError
@@ -34,7 +34,7 @@ def meshes():
     return [thing for thing in bpy.context.scene.objects if thing.type == "MESH"]
 
 
-def test_reconstruct_to_the_end_and_into_the_scene(tmp_path):
+def test_reconstruct_to_the_end_and_into_the_scene(tmp_path, tmp_path_factory):
     run = str(tmp_path / "run")
     words = {"dataset": str(DATASET), "run": run, "preset": "draft", "materials": "low-gloss", "seed": 3, "settings": SETTINGS}
     assert bpy.ops.irgspp.reconstruct(**words) == {"FINISHED"}
@@ -45,6 +45,7 @@ def test_reconstruct_to_the_end_and_into_the_scene(tmp_path):
         bpy.ops.irgspp.reconstruct(**words)
     assert bpy.ops.irgspp.reconstruct(dataset=str(DATASET), run=run, resume=True, import_result=False) == {"FINISHED"}  # with its settings
     assert json.loads((tmp_path / "run" / "run.json").read_text())["seed"] == 3
+    leave_finished(tmp_path / "run", tmp_path_factory)  # for the tests of results, which else make one
 
 
 def test_reconstruct_as_a_job_with_the_panels_settings(tmp_path):
