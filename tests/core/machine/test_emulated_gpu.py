@@ -18,14 +18,14 @@ from small_scenes import small_scene
 SCENE = small_scene("bowl")  # it has half as many views as the demo's
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
 TINY = [
-    "materials=glossy", "data.resolution=40", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
+    "materials=glossy", "first.gaussians=1500", "first.iterations=40", "first.trial_iterations=4",
     "first.trial_gaussians=400", "second.points=150", "second.rows=6", "second.views=4", "second.iterations=4",
     "second.pixels=32", "second.samples=8", "second.pool=1000", "second.radiance_iterations=3", "second.normal_iterations=8",
     "surface.voxels=32", "surface.triangles=600", "surface.texture=64",
 ]  # fmt: skip
 
 
-@pytest.mark.long(seconds=60)
+@pytest.mark.long(seconds=40)
 def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
     """In a process of its own, as torch can't remove the emulated GPU again."""
     pytest.importorskip("warp")
