@@ -19,12 +19,13 @@ from ..settings.schema import Settings
 from .matching import MAX_EXHAUSTIVE, SIMILAR_PHOTOGRAPHS
 from .photograph_files import CaptureFiles, find_photographs
 
-# Seconds on two cores: captures of 48 photographs of 640 x 480 (72 s) and of 24 of 4000 x 3000 (238 s) on an idle machine.
+# Seconds on two cores: captures of 48 photographs of 640 x 480 (72 s) and of 24 of 4000 x 3000 (238 s) on an idle machine, and 4 s more
+# of the first since poses are refined.
 START = 5.0
 FEATURES = 0.9  # of the features, for each megapixel that is searched
 PAIR = 0.075  # of matching two photographs of one megapixel; by the power 0.75 of the megapixels
 DIFFERENT_PAIRS = 0.7  # fraction of the pairs of similar photographs that are not pairs of both
-PHOTOGRAPH = 0.75  # of poses, dense points and masks, which are computed at one size, for each photograph
+PHOTOGRAPH = 0.85  # of poses, dense points and masks, which are computed at one size, for each photograph
 UNDISTORTION = 0.36  # for each megapixel of a full-size photograph
 MEMORY = 1800 << 20  # peak of a capture, bytes: 1.3 and 1.7 GiB
 USUAL_SIZE = (4000, 3000)  # where no header tells the size: of videos, HEIC and RAW
