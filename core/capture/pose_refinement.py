@@ -55,11 +55,13 @@ class RefinedPoses:
 
 @dataclass(frozen=True, eq=False)
 class _Adjustment:
-    """Cameras and tracks after an adjustment, and the mean error of the places in pixels of the views."""
+    """Cameras and tracks after an adjustment; in pixels of the views, mean error of the places, and median of the judges before and after."""
 
     cameras: list[Camera]
     tracks: Tracks
     error: float
+    before: float = np.inf
+    after: float = np.inf
 
 
 def refine_poses(
@@ -81,31 +83,36 @@ def refine_poses(
         return RefinedPoses(model, list(images), None)
     cameras, features = [one.view.camera for one in images], _features(model, images)
     freedom = Freedom.FIXED if any(one.posed.lens.fisheye for one in images) else Freedom.FULL
-    last, dense, errors = None, None, []
+    found, dense = [], None
     for _ in range(ROUNDS):
         views = [replace(one.view, camera=camera) for one, camera in zip(images, cameras, strict=True)]
         points = PointCloud(features.position.astype(np.float32), features.colour.astype(np.float32) / 255)
         dense = find_dense_points(views, points, None, seed, progress)
-        patches = find_patch_tracks(views, dense, background, progress)
-        judges = np.arange(len(patches.position)) % HELD_BACK == 0
-        if len(judges) < MIN_PATCHES:
+        better = _judged(cameras, features, find_patch_tracks(views, dense, background, progress), freedom, progress)
+        if better is None:
             break
-        found = _adjusted(cameras, features.joined(patches.select(~judges)), freedom, progress)
-        before, after = (track_error(each, patches.select(judges)) for each in (cameras, found.cameras))
-        if after > MAX_ERROR_RATIO * before:
-            break
-        moved, errors = _shift(cameras, found.cameras), [*errors, before, after]
-        last, cameras = found, found.cameras
-        features = found.tracks.select(np.arange(len(found.tracks.position)) < len(features.position))
+        found.append(better)
+        moved, cameras = _shift(cameras, better.cameras), better.cameras
+        features = better.tracks.select(np.arange(len(better.tracks.position)) < len(features.position))
         if moved < MOVED:
             break
         dense = None
-    if last is None:
+    if not found:
         progress.message("poses: patches of surface fit hardly better after a refinement, so they stay as they are")
         return RefinedPoses(model, list(images), dense)
-    count = len(last.tracks.position) - len(model.position)
-    progress.message(f"poses: refined on {count} patches of surface; others fit to {errors[-1]:.2f} pixels, to {errors[0]:.2f} before")
-    return RefinedPoses(*_with_adjustment(model, images, last), dense)
+    count, before, after = len(found[-1].tracks.position) - len(features.position), found[0].before, found[-1].after
+    progress.message(f"poses: refined on {count} patches of surface; others fit to {after:.2f} pixels, to {before:.2f} before")
+    return RefinedPoses(*_with_adjustment(model, images, found[-1]), dense)
+
+
+def _judged(cameras: Sequence[Camera], features: Tracks, patches: Tracks, freedom: Freedom, progress: Progress) -> _Adjustment | None:
+    """Return the adjustment to features and most patches; None where there are too few, or the other patches fit hardly better after it."""
+    judges = np.arange(len(patches.position)) % HELD_BACK == 0
+    if len(judges) < MIN_PATCHES:
+        return None
+    found = _adjusted(cameras, features.joined(patches.select(~judges)), freedom, progress)
+    before, after = (track_error(each, patches.select(judges)) for each in (cameras, found.cameras))
+    return replace(found, before=before, after=after) if after <= MAX_ERROR_RATIO * before else None
 
 
 def _features(model: SparseModel, images: Sequence[UndistortedImage]) -> Tracks:
@@ -118,7 +125,7 @@ def _features(model: SparseModel, images: Sequence[UndistortedImage]) -> Tracks:
 
 
 def _full_scale(image: UndistortedImage) -> np.ndarray:
-    """Return the size (2,) of a full-size image's pixel, in pixels of its view, inverted: factors of x and y."""
+    """Return the factors (2,) of x and y from places in the view to places in the full-size image."""
     view = image.view.camera
     return np.array([image.camera.width / view.width, image.camera.height / view.height])
 
