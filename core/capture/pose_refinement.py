@@ -55,7 +55,7 @@ class RefinedPoses:
 
 @dataclass(frozen=True, eq=False)
 class _Adjustment:
-    """Cameras and tracks after an adjustment; in pixels of the views, mean error of the places, and median of the judges before and after."""
+    """Cameras and tracks after an adjustment; in pixels of the views, mean error of places, and median of the judges before and after."""
 
     cameras: list[Camera]
     tracks: Tracks
