@@ -25,8 +25,6 @@ from .segmentation import edge_weight
 from .support_plane import SupportPlane
 
 MASK_MARGIN = 12.0  # errors of a mask around it that are looked at
-MIN_PLANE_POINTS = 50  # points of the surroundings that make a support plane
-MAX_PLANE_HEIGHT, MIN_NORMAL_Z = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
 COLOUR_FACTOR = 0.3  # factor of the colours' log-likelihood ratio: neighbouring pixels are not independent
 MAX_COLOUR_COST = 3.0  # largest cost of that ratio, nats
 # Cost of a pixel that the object does not cover at all, nats. The ratio alone takes a pixel that is mixed of both colours for the object,
@@ -48,10 +46,7 @@ Crop = tuple[slice, slice]  # rows and columns
 
 def support_plane_of(surroundings: Surroundings | None) -> SupportPlane | None:
     """Return the plane Z = 0 of captured surroundings; None where the object does not stand on one."""
-    if surroundings is None:
-        return None
-    flat = (np.abs(surroundings.position[:, 2]) < MAX_PLANE_HEIGHT * surroundings.spacing) & (surroundings.normal[:, 2] > MIN_NORMAL_Z)
-    if flat.sum() < MIN_PLANE_POINTS:
+    if surroundings is None or not surroundings.has_ground:
         return None
     return SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0, 0.0, np.empty((0, 3)))
 

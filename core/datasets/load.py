@@ -64,6 +64,8 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     even = even_exposures([*views, *test_views], parsed.points, settings.exposure, warnings)
     views, test_views = even[: len(views)], even[len(views) :]
     bound = object_bound(parsed, views, settings, warnings)
+    if parsed.surroundings is not None and parsed.surroundings.has_ground:
+        bound = replace(bound, floor=0.0)
     lenses = sorted({str(p.frame.lens) for p in prepared})
     novel = Counter(f.light for f in _with_image(parsed.novel) if f.light is not None)
     about = (parsed.points, warnings, lenses, dict(novel), parsed.surroundings)

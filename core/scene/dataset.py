@@ -58,13 +58,20 @@ def light_rotations(views: Sequence[View]) -> np.ndarray | None:
 
 @dataclass(frozen=True)
 class Bound:
-    """Bounding sphere of the object, in world units."""
+    """Bounding sphere of the object, in world units.
+
+    Attributes:
+        centre: of the sphere.
+        radius: of the sphere.
+        floor: height Z below which nothing is the object, since it stands on something there; None where that is not known.
+    """
 
     centre: tuple[float, float, float]
     radius: float
+    floor: float | None = None
 
     def moved(self, similarity: np.ndarray) -> Bound:
-        """Return the sphere after a similarity (4, 4) of the world."""
+        """Return the sphere after a similarity (4, 4) of the world, without a floor, which belongs to the world's Z."""
         x, y, z = moved_points(np.array([self.centre], np.float64), similarity)[0].tolist()
         return Bound((x, y, z), self.radius * scale_of(similarity))
 

@@ -154,7 +154,8 @@ class Reconstruction:
         try:
             about = json.loads(path.read_text("utf-8"))
             x, y, z = (float(c) for c in about["bound"]["centre"])
-            bound = Bound((x, y, z), float(about["bound"]["radius"]))
+            floor = about["bound"].get("floor")  # runs of earlier versions have none
+            bound = Bound((x, y, z), float(about["bound"]["radius"]), None if floor is None else float(floor))
             to_world, has_split_sum = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
             brdf = about.get("brdf", "principled")  # runs of earlier versions have no other

@@ -14,6 +14,8 @@ from ..io.atomic import write_atomic
 from ..io.npz import read_arrays
 from .similarity import moved_points, scale_of
 
+MIN_GROUND_POINTS = 50  # points that make a support plane
+MAX_GROUND_HEIGHT, MIN_NORMAL_Z = 0.01, 0.999  # their largest height over Z = 0, in their spacing, and least Z of their normals
 ARRAYS = {"position": (3,), "normal": (3,), "radiance": (3,), "spacing": ()}
 
 
@@ -32,6 +34,12 @@ class Surroundings:
     normal: np.ndarray
     radiance: np.ndarray
     spacing: np.ndarray
+
+    @property
+    def has_ground(self) -> bool:
+        """True where the plane Z = 0 is part of them: the object stands on it."""
+        flat = (np.abs(self.position[:, 2]) < MAX_GROUND_HEIGHT * self.spacing) & (self.normal[:, 2] > MIN_NORMAL_Z)
+        return int(flat.sum()) >= MIN_GROUND_POINTS
 
     def moved(self, similarity: np.ndarray) -> Surroundings:
         """Return the surroundings after a similarity (4, 4) of the world: distances scale with it, radiance stays."""

@@ -37,7 +37,7 @@ def extract_geometry(
     Args:
         views: G-buffers of the reconstruction at the training cameras.
         samples: its Gaussians; they mark space near the surface that no view sees.
-        bound: sphere around the object; everything outside is ignored.
+        bound: sphere around the object; everything outside it and below its floor is ignored.
         settings: resolution, smoothing and triangle budget.
         progress: receives steps and messages, and may cancel.
         masks: (H, W) opacity of each view's image; where given, the surface is moved outward at its outlines to fill them.
@@ -75,7 +75,7 @@ def extract_levels(
     """
     progress.phase("fuse", len(views))
     grid = make_grid(views, samples, bound, settings)
-    fused = _fused_surface(fuse(views, grid, progress), grid, settings)
+    fused = _fused_surface(fuse(views, grid, progress, bound.floor), grid, settings)
     surfaces = []
     for budget in budgets:
         surface = fused.surface() if budget is None else _reduced(fused, budget, settings)

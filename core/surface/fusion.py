@@ -74,7 +74,7 @@ class DistanceSums(NamedTuple):
     free: np.ndarray
 
 
-def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray:
+def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress, floor: float | None = None) -> np.ndarray:
     """Fuse the depth of all views into signed distances of the grid's active blocks.
 
     Voxels without depth continue their surroundings smoothly, with a weak preference for outside where a view looks through them, so
@@ -84,6 +84,7 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
         views: G-buffers.
         grid: voxel grid with B active blocks.
         progress: receives the number of views done.
+        floor: height Z below which everything is outside, or None. No view sees what the object stands on from below.
 
     Returns:
         (B, BLOCK^3) float32 distances in units of the truncation distance, from -1 inside to 1 outside.
@@ -105,6 +106,9 @@ def fuse(views: Sequence[GBuffer], grid: Grid, progress: Progress) -> np.ndarray
         relaxed = np.empty_like(distance)
         run_ranges(relax, ranges, grid.active, table, SMOOTHNESS, total, weight, distance, relaxed)
         distance = relaxed
+    if floor is not None:
+        height = grid.origin[2] + grid.voxel * (BLOCK * grid.active[:, 2:] + np.arange(BLOCK**3) % BLOCK)
+        distance = np.maximum(distance, np.clip((floor - height) / blocks.truncation, -1, 1).astype(np.float32))
     return distance
 
 

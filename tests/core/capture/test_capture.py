@@ -78,7 +78,7 @@ def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_
     assert min(overlap(view.alpha, table_scene.masks[view.name]) for view in views) > 0.9
     # One unit of the scene is 0.2 m; the box, 1 unit high, stands on Z = 0.
     assert 0.8 * 0.2 * 0.6 < data.bound.radius < 1.4 * 0.2 * 0.6
-    assert data.bound.centre[2] == pytest.approx(0.2 * 0.5, abs=0.015)
+    assert data.bound.centre[2] == pytest.approx(0.2 * 0.5, abs=0.015) and data.bound.floor == 0
     first = next(view.camera for view in views if view.name == "view00")
     assert first.centre[1] < 0 and abs(first.centre[0]) < 0.05 * abs(first.centre[1])  # in front
     table = data.surroundings.position[np.abs(data.surroundings.position[:, 2]) < 0.004]

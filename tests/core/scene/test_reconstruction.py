@@ -138,6 +138,17 @@ def test_reflections_round_trip(tmp_path):
     assert np.array_equal(loaded.material, GOOD[0]) and np.array_equal(loaded.environment, GOOD[1])
 
 
+def test_the_floor_is_kept_and_runs_of_earlier_versions_have_none(tmp_path):
+    made = make()
+    replace(made, bound=replace(made.bound, floor=-0.25)).save(tmp_path)
+    assert Reconstruction.load(tmp_path).bound == replace(made.bound, floor=-0.25)
+    path = tmp_path / "reconstruction.json"
+    about = json.loads(path.read_text())
+    del about["bound"]["floor"]
+    path.write_text(json.dumps(about))
+    assert Reconstruction.load(tmp_path).bound == made.bound
+
+
 def test_the_brdf_of_the_materials_is_kept(tmp_path):
     given = replace(make(), brdf="irgs")
     given.save(tmp_path)

@@ -103,6 +103,19 @@ def test_field_is_the_signed_distance_near_the_surface(name, solids, camera_ring
     assert not wrong[np.abs(true) > 1.5 * grid.voxel].any()  # neither ghosts outside nor hollows inside
 
 
+def test_nothing_is_inside_below_the_floor(solids, camera_ring, bound):
+    """Cameras above alone leave what they do not see inside; the floor cuts it off, and changes nothing above."""
+    solid = solids["sphere"]
+    views = [solid.view(camera) for camera in camera_ring(16, lowest=0.3)]
+    grid = make_grid(views, solid.samples(), bound, SurfaceSettings(voxels=48))
+    field, cut = fusion.fuse(views, grid, Silent()), fusion.fuse(views, grid, Silent(), -0.5)
+    height = centres(grid)[..., 2] + 0.5
+    assert (field[height < -grid.voxel] < 0).any() and (cut[height < 0] > 0).all()
+    np.testing.assert_array_equal(cut[height > fusion.TRUNCATION * grid.voxel], field[height > fusion.TRUNCATION * grid.voxel])
+    near = (np.abs(height) < grid.voxel) & (field < -0.9)
+    np.testing.assert_allclose(cut[near] * fusion.TRUNCATION * grid.voxel, -height[near], atol=1e-5)
+
+
 def test_dense_puts_blocks_in_their_place():
     grid = Grid(np.array([1.0, 2.0, 3.0]), 0.5, (2, 3, 1), np.array([[0, 0, 0], [1, 2, 0]], np.int32))
     volume = grid.dense(centres(grid)[..., 1], -1.0)
