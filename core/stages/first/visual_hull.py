@@ -116,7 +116,7 @@ def visual_hull(views: list[View], bound: Bound) -> VisualHull:
 
     Args:
         views: all have masks.
-        bound: sphere outside which, and floor below which, everything is empty.
+        bound: sphere outside which everything is empty.
 
     Raises:
         InputError: no cell is inside all masks.
@@ -142,7 +142,4 @@ def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, c
     x, y, z = ((low[i] + step * np.arange(shape[i]) - bound.centre[i]) ** 2 for i in range(3))
     # The corners of the box lie outside the bound and often outside every image, where nothing carves them.
     inside[(x[:, None, None] + y[:, None] + z > bound.radius**2) | (inside > 1)] = 0
-    if bound.floor is not None:  # which the surface of the hull meets between two layers of cells
-        above = (low[2] + step * np.arange(shape[2]) - bound.floor) / step + 0.5
-        inside = np.minimum(inside, np.clip(above, 0, 1).astype(np.float32))
     return VisualHull(inside, low, step)

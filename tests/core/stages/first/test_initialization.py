@@ -47,16 +47,6 @@ def test_hull_holds_the_sphere_and_no_more_than_its_cones(dataset):
     assert inside.reshape(-1)[outside].max() < 0.5
 
 
-def test_hull_ends_at_the_floor(dataset):
-    whole, cut = (visual_hull(dataset.train, replace(dataset.bound, floor=floor)) for floor in (None, -0.3))
-    points, normals, _ = cut.sample(4000, np.random.default_rng(0))
-    assert whole.triangles()[..., 2].min() < -0.9
-    assert points[:, 2].min() == pytest.approx(-0.3, abs=0.1 * cut.step)
-    below = points[:, 2] < -0.3 + 0.1 * cut.step
-    assert below.sum() > 200 and normals[below & (np.hypot(*points[:, :2].T) < 0.7), 2].max() < -0.9
-    assert cut.triangles()[..., 2].max() == pytest.approx(whole.triangles()[..., 2].max(), abs=cut.step)
-
-
 def test_start_lies_on_the_hull_and_faces_outward(dataset):
     g = initial_gaussians(dataset, 3000, np.random.default_rng(0))
     assert g.count == 3000
