@@ -56,7 +56,7 @@ def exif_bytes(main: dict | None = None, shot: dict | None = None) -> bytes:
     return exif.tobytes()
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def heard() -> type[Heard]:
     return Heard
 

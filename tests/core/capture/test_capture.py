@@ -2,6 +2,7 @@
 """Capture of a box on a table from files to a dataset; the poses are the true ones, which tests/core/capture/test_poses.py covers."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -36,8 +37,7 @@ def photographs(table_scene, tmp_path_factory):
     return folder
 
 
-@pytest.fixture
-def true_poses(table_scene, monkeypatch):
+def stand_in_poses(patch, table_scene):
     """Replace structure from motion by the true cameras; returns the names that it was asked for."""
     asked = []
 
@@ -57,17 +57,60 @@ def true_poses(table_scene, monkeypatch):
             posed, points, colour, point.astype(np.int32), photograph.astype(np.int32), pixel.astype(np.float32), 0.2, LEFT_OUT
         )
 
-    monkeypatch.setattr(module, "find_poses", find_poses)
+    patch.setattr(module, "find_poses", find_poses)
     return asked
 
 
+def be_quick(patch, dense):
+    """Leave out what `test_a_folder_becomes_a_dataset` covers: stereo, here and before the refinement of poses, and the contact sheet."""
+
+    def find(views, points, sphere, seed, progress):
+        return dense if sphere is None else replace(dense, target=np.array(sphere.centre))
+
+    patch.setattr("irgspp.core.capture.object_masks.find_dense_points", find)
+    patch.setattr("irgspp.core.capture.pose_refinement.find_dense_points", find)
+    patch.setattr(module, "write_contact_sheet", lambda *_: None)
+
+
 @pytest.fixture
-def known_points(dense, monkeypatch):
-    """Replace stereo by the points that it finds in this scene."""
-    monkeypatch.setattr("irgspp.core.capture.object_masks.find_dense_points", lambda *_: dense)
+def true_poses(table_scene, monkeypatch):
+    return stand_in_poses(monkeypatch, table_scene)
 
 
-def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_points, heard, tmp_path, monkeypatch):
+@pytest.fixture
+def quick(dense, monkeypatch):
+    be_quick(monkeypatch, dense)
+
+
+@pytest.fixture(scope="module")
+def finished(photographs, table_scene, dense, heard, tmp_path_factory):
+    """A finished capture, and what it said."""
+    folder, progress = tmp_path_factory.mktemp("finished") / "captured", heard()
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in_poses(patch, table_scene)
+        be_quick(patch, dense)
+        capture(photographs, folder, SETTINGS, 0, progress)
+    return folder, progress.messages
+
+
+@pytest.fixture
+def captured(finished, tmp_path):
+    """A copy of the finished capture, to be changed."""
+    return shutil.copytree(finished[0], tmp_path / "captured")
+
+
+@pytest.fixture(scope="module")
+def chosen(finished, table_scene, dense, tmp_path_factory):
+    """The finished capture after another object was chosen on the command line by the numbers of the log's line, and its sphere."""
+    folder, sphere = shutil.copytree(finished[0], tmp_path_factory.mktemp("chosen") / "captured"), sphere_of_the_other_thing(finished[1])
+    with pytest.MonkeyPatch.context() as patch:
+        stand_in_poses(patch, table_scene)
+        be_quick(patch, dense)
+        assert main(["capture", str(folder), "--sphere", *map(str, sphere)]) == 0
+    return folder, sphere
+
+
+def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, heard, tmp_path, monkeypatch):
     marker = MarkerScale("4X4 id 7", 0.2, 5, 0.1)
     monkeypatch.setattr(posed_photographs, "find_marker_scale", lambda model, side, read: marker)
     progress = heard()
@@ -92,30 +135,23 @@ def test_a_folder_becomes_a_dataset(photographs, table_scene, true_poses, known_
     assert any(line.startswith("marker 4X4 id 7") for line in progress.messages)
 
 
-def test_a_finished_capture_is_kept_and_a_stopped_one_goes_on(photographs, true_poses, known_points, heard, tmp_path):
+def test_a_stopped_capture_goes_on(photographs, true_poses, quick, heard, tmp_path):
     second = heard()
     with pytest.raises(Cancelled):
         capture(photographs, tmp_path / "captured", SETTINGS, 0, heard(steps=3))
     with pytest.raises(InputError, match="not finished"):
         load_dataset(tmp_path / "captured")
     capture(photographs, tmp_path / "captured", SETTINGS, 0, second)
-    written = {file: file.stat().st_mtime_ns for file in (tmp_path / "captured").rglob("*") if file.is_file()}
-    asked = len(true_poses)
-    progress = heard()
-    capture(photographs, tmp_path / "captured", SETTINGS, 0, progress)
-    assert len(true_poses) == asked and "finished before" in progress.messages[-1]
     assert "left out stray: matches no other photograph" in second.messages
+    assert load_dataset(tmp_path / "captured").has_alpha
+
+
+def test_a_finished_capture_is_kept(photographs, true_poses, captured, heard):
+    written = {file: file.stat().st_mtime_ns for file in captured.rglob("*") if file.is_file()}
+    progress = heard()
+    capture(photographs, captured, SETTINGS, 0, progress)
+    assert not true_poses and "finished before" in progress.messages[-1]
     assert {file: file.stat().st_mtime_ns for file in written} == written
-
-
-@pytest.fixture
-def aimed_points(dense, monkeypatch):
-    """Replace stereo by the points that it finds in this scene, aimed at the sphere that is given."""
-
-    def find(views, points, sphere, seed, progress):
-        return dense if sphere is None else replace(dense, target=np.array(sphere.centre))
-
-    monkeypatch.setattr("irgspp.core.capture.object_masks.find_dense_points", find)
 
 
 def poses_of(folder):
@@ -128,29 +164,26 @@ def sphere_of_the_other_thing(lines):
     return [float(word) for word in line.partition("X Y Z RADIUS ")[2].partition(";")[0].split()]
 
 
-def test_a_sphere_chooses_another_object_in_place(photographs, table_scene, true_poses, aimed_points, heard, tmp_path, capsys):
-    """By the numbers of the log's line, on the command line; the cameras stay, and so does the frame."""
-    first, folder = heard(), tmp_path / "captured"
-    capture(photographs, folder, SETTINGS, 0, first)
-    before, automatic = poses_of(folder), load_dataset(folder).bound
-    x, y, z, radius = sphere_of_the_other_thing(first.messages)
-    assert main(["capture", str(folder), "--sphere", str(x), str(y), str(z), str(radius)]) == 0
+def test_a_sphere_chooses_another_object_in_place(photographs, true_poses, quick, finished, chosen, heard, tmp_path, capsys):
+    """The cameras stay, and so does the frame."""
+    before, automatic = poses_of(finished[0]), load_dataset(finished[0]).bound
+    (*centre, radius), folder = chosen[1], shutil.copytree(chosen[0], tmp_path / "captured")
     data, after = load_dataset(folder), poses_of(folder)
     assert all(np.allclose(after[name], before[name], atol=1e-9) for name in after)
-    assert np.allclose((*data.bound.centre, data.bound.radius), (x, y, z, radius), rtol=1e-6)
+    assert np.allclose((*data.bound.centre, data.bound.radius), (*centre, radius), rtol=1e-6)
     truth = other_things_masks()
     assert data.has_alpha and min(overlap(view.alpha, truth[view.name]) for view in (*data.train, *data.test)) > 0.85
     left_out = {one["name"]: one["reason"] for one in json.loads((folder / "capture.json").read_text())["left_out"]}
     assert left_out["view07"] == "other things hide the object" and set(left_out) == {"stray", *(set(before) - set(after))}
     assert "a given sphere holds" in (folder / "report.html").read_text()
     again = heard()
-    settings = replace(SETTINGS, centre=(x, y, z), radius=radius)
-    capture(photographs, folder, settings, 0, again)
+    capture(photographs, folder, replace(SETTINGS, centre=tuple(centre), radius=radius), 0, again)
     assert "finished before" in again.messages[-1]
     words = ["--set", "capture.centre=none", "--set", "capture.radius=none"]  # back to the object that is found
+    capsys.readouterr()
     assert main(["capture", str(folder), *words]) == 0
     assert np.allclose(load_dataset(folder).bound.centre, automatic.centre) and set(poses_of(folder)) == set(before)
-    assert capsys.readouterr().out.splitlines() == [str(folder)] * 2
+    assert capsys.readouterr().out.splitlines() == [str(folder)]
 
 
 def other_things_masks():
@@ -159,74 +192,61 @@ def other_things_masks():
     return scenes.photographed_table((scenes.CLUTTER, scenes.OBJECT)).masks
 
 
-def test_a_sphere_means_the_same_without_an_earlier_capture(photographs, true_poses, aimed_points, heard, tmp_path):
-    first, straight = heard(), heard()
-    capture(photographs, tmp_path / "first", SETTINGS, 0, first)
-    *centre, radius = sphere_of_the_other_thing(first.messages)
-    settings = replace(SETTINGS, centre=tuple(centre), radius=radius)
-    capture(photographs, tmp_path / "first", settings, 0, heard())
-    capture(photographs, tmp_path / "straight", settings, 0, straight)
-    assert any("cut out without it first" in line for line in straight.messages)
-    one, other = poses_of(tmp_path / "first"), poses_of(tmp_path / "straight")
+def test_a_sphere_means_the_same_without_an_earlier_capture(photographs, true_poses, quick, chosen, heard, tmp_path):
+    in_place, (*centre, radius) = chosen
+    straight, progress = tmp_path / "straight", heard()
+    capture(photographs, straight, replace(SETTINGS, centre=tuple(centre), radius=radius), 0, progress)
+    assert any("cut out without it first" in line for line in progress.messages)
+    one, other = poses_of(in_place), poses_of(straight)
     assert all(np.allclose(one[name], other[name], atol=1e-9) for name in one)
-    names = [file.name for file in (tmp_path / "first" / "masks").iterdir()]
-    assert all((tmp_path / "first/masks" / n).read_bytes() == (tmp_path / "straight/masks" / n).read_bytes() for n in names)
+    names = [file.name for file in (in_place / "masks").iterdir()]
+    assert names and all((in_place / "masks" / name).read_bytes() == (straight / "masks" / name).read_bytes() for name in names)
 
 
-def test_a_wrong_sphere_or_a_stop_leaves_the_dataset(photographs, true_poses, aimed_points, heard, tmp_path, capsys):
-    folder = tmp_path / "captured"
-    capture(photographs, folder, SETTINGS, 0, heard())
-    before = {file: file.read_bytes() for file in folder.rglob("*") if file.is_file() and file.name != ".lock"}
+def test_a_wrong_sphere_or_a_stop_leaves_the_dataset(photographs, true_poses, quick, captured, heard, capsys):
+    before = {file: file.read_bytes() for file in captured.rglob("*") if file.is_file() and file.name != ".lock"}
     for sphere, words in (("0 0 90 1", "is shown by 0 of 12"), ("0 0 0 900", "cameras inside"), ("0.8 0 1 .1", "holds no point")):
-        assert main(["capture", str(folder), "--sphere", *sphere.split()]) == 2
+        assert main(["capture", str(captured), "--sphere", *sphere.split()]) == 2
         error = capsys.readouterr().err
         assert words in error and "Traceback" not in error
-    assert main(["capture", str(folder), "--set", "capture.radius=1"]) == 2
+    assert main(["capture", str(captured), "--set", "capture.radius=1"]) == 2
     assert "without capture.centre" in capsys.readouterr().err
-    assert main(["capture", str(folder), "--sphere", "0", "0", "1", "-1"]) == 2
+    assert main(["capture", str(captured), "--sphere", "0", "0", "1", "-1"]) == 2
     assert "capture.radius" in capsys.readouterr().err
     with pytest.raises(Cancelled):
-        capture(photographs, folder, replace(SETTINGS, centre=(0.0, 0.0, 1.0), radius=1.1), 0, heard(steps=9))
+        capture(photographs, captured, replace(SETTINGS, centre=(0.0, 0.0, 1.0), radius=1.1), 0, heard(steps=9))
     assert {file: file.read_bytes() for file in before} == before
-    assert load_dataset(folder).has_alpha
+    assert load_dataset(captured).has_alpha
 
 
-def test_edited_masks_are_kept_beside(photographs, true_poses, aimed_points, heard, tmp_path):
-    folder = tmp_path / "captured"
-    capture(photographs, folder, SETTINGS, 0, heard())
-    mask = folder / "masks" / "view02.png"
+def test_edited_masks_are_kept_beside(photographs, true_poses, quick, captured, heard):
+    mask = captured / "masks" / "view02.png"
     Image.new("L", Image.open(mask).size, 255).save(mask)
     edited, progress = mask.read_bytes(), heard()
-    capture(photographs, folder, replace(SETTINGS, centre=(0.0, 0.0, 0.85), radius=1.1), 0, progress)
-    assert [file.name for file in (folder / "edited_masks").iterdir()] == ["view02.png"]
-    assert (folder / "edited_masks" / "view02.png").read_bytes() == edited != mask.read_bytes()
+    capture(photographs, captured, replace(SETTINGS, centre=(0.0, 0.0, 0.85), radius=1.1), 0, progress)
+    assert [file.name for file in (captured / "edited_masks").iterdir()] == ["view02.png"]
+    assert (captured / "edited_masks" / "view02.png").read_bytes() == edited != mask.read_bytes()
     assert any("1 that were edited" in line for line in progress.messages)
 
 
-def test_a_capture_is_changed_in_its_place(photographs, true_poses, known_points, heard, tmp_path, capsys):
-    folder = tmp_path / "captured"
-    capture(photographs, folder, SETTINGS, 0, heard())
-    assert main(["capture", str(folder), "-o", str(tmp_path / "other")]) == 2
+def test_a_capture_is_changed_in_its_place(photographs, captured, tmp_path, capsys):
+    assert main(["capture", str(captured), "-o", str(tmp_path / "other")]) == 2
     assert "is changed in its place" in capsys.readouterr().err
     assert main(["capture", str(photographs)]) == 2
     assert "add -o DATASET" in capsys.readouterr().err
-    state = json.loads((folder / "capture.json").read_text())
+    state = json.loads((captured / "capture.json").read_text())
     state["inputs"]["source"] = str(tmp_path / "gone")
-    (folder / "capture.json").write_text(json.dumps(state))
-    assert main(["capture", str(folder), "--sphere", "0", "0", "1", "1"]) == 2
+    (captured / "capture.json").write_text(json.dumps(state))
+    assert main(["capture", str(captured), "--sphere", "0", "0", "1", "1"]) == 2
     assert "photographs that are gone" in capsys.readouterr().err
 
 
-def test_without_masks_the_whole_scene_is_kept(photographs, true_poses, heard, tmp_path):
-    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False), 0, heard())
+def test_without_masks_the_whole_scene_is_kept_and_a_missing_marker_is_said(photographs, true_poses, quick, heard, tmp_path):
+    progress = heard()
+    folder = capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False, marker=0.05), 0, progress)
     data = load_dataset(folder)
     assert not data.has_alpha and data.surroundings is None and not (folder / "masks").exists()
     assert json.loads((folder / "capture.json").read_text())["bound"] is None
-
-
-def test_a_missing_marker_is_said(photographs, true_poses, heard, tmp_path):
-    progress = heard()
-    capture(photographs, tmp_path / "captured", replace(SETTINGS, masks=False, marker=0.05), 0, progress)
     assert any("no marker was found" in line for line in progress.messages)
 
 

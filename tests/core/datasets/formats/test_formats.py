@@ -29,7 +29,7 @@ DISTORTED = {"nerfstudio", "instant-ngp", "metashape", "realitycapture"}
 UNMASKED = {"glossy-real", "ref-real"}
 WITH_POINTS = {"capture", "glossy-real", "nerfstudio", "ref-real"}
 # To a job, a dataset is what `load_dataset` returns, and to an evaluation also which ground truth there is. Jobs: with masks and points,
-# without masks, of a distorted lens in a turned and scaled frame. The truth of others is compared with the first job's run, told their frame.
+# without masks, of a distorted lens in a turned and scaled frame. Others' truth is compared with the first job's run, told their frame.
 JOBS = ("capture", "glossy-real", "nerfstudio")
 WITH_TRUTH = ("glossy-synthetic", "nerf-synthetic", "stanford-orb", "synthetic4relight", "tensoir")
 # The names under which the lights of the scene are known.
