@@ -21,6 +21,7 @@ from irgspp.core.run_folder import read_run
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from small_scenes import small_scene
+from unwrapped_here import unwrap_here
 
 SMALL = small_scene("bowl")  # it has half as many views as the demo's
 SHORT = (
@@ -52,7 +53,7 @@ def settings():
 
 @pytest.fixture(scope="module")
 def quick(settings):
-    """Return a context in which jobs of this process leave out the Blender scene and do not read the dataset again."""
+    """Return a context in which jobs of this process leave out the Blender scene, unwrap here, and do not read the dataset again."""
     data = load_dataset(SMALL, settings.data)
 
     @contextmanager
@@ -60,6 +61,7 @@ def quick(settings):
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(pipeline, "write_blend", lambda *_: None)
             patch.setattr(pipeline, "load_dataset", lambda path, *_: {SMALL: data}[path])
+            unwrap_here(patch)
             yield
 
     return patched

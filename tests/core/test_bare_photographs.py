@@ -5,6 +5,7 @@ Quick stand-ins take the place of the later stages.
 """
 
 import json
+import shutil
 
 import numpy as np
 import pytest
@@ -21,7 +22,7 @@ from irgspp.core.settings.schema import Settings
 from room_corner import cameras, take, textures
 from stand_in_stages import ALL, Stages
 
-SETTINGS = with_overrides(Settings(), ["capture.masks=off", "data.resolution=64"])
+SETTINGS = with_overrides(Settings(), ["capture.masks=off", "capture.resolution=128", "data.resolution=64"])
 COUNT = 4  # photographs, of which one is held back for tests
 CAPTURED = ("sparse/0/images.bin", "sparse/0/points3D.bin", "transforms.json", "exposures.json", "images/photo 0.png")
 
@@ -162,11 +163,10 @@ def test_photographs_that_can_not_be_captured_fail_the_run(photographs, tmp_path
     assert state["status"] == "failed" and "fewer than 3" in state["error"] and stages.ran == []
 
 
-def test_another_sphere_resumes_a_run_with_the_poses_it_has(photographs, monkeypatch, tmp_path):
+def test_another_sphere_resumes_a_run_with_the_poses_it_has(undisturbed, photographs, monkeypatch, tmp_path):
     """Here it is the bound alone, as the photographs are used whole."""
-    run = tmp_path / "run"
+    run = shutil.copytree(undisturbed[0], tmp_path / "run")
     Stages(monkeypatch, SETTINGS, read=False)
-    pipeline.reconstruct(photographs, run, SETTINGS)
     poses = (run / CAPTURE / "poses.json").read_bytes()
     cameras_before = (run / CAPTURE / "cameras.json").read_bytes()
     finished = (run / "run.json").read_bytes()

@@ -14,6 +14,7 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.second.solver import solver_run
 from small_scenes import small_scene
+from unwrapped_here import unwrap_here
 
 SCENE = small_scene("bowl")  # it has half as many views as the demo's
 EMULATED = Path(__file__).resolve().parents[2] / "support" / "emulated_gpu.py"
@@ -33,6 +34,7 @@ def test_a_whole_job_runs_and_agrees_with_numba(tmp_path, monkeypatch):
     done = subprocess.run(words, capture_output=True, text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert done.returncode == 0, done.stderr[-3000:]
     monkeypatch.setattr(pipeline, "write_blend", lambda *_: None)
+    unwrap_here(monkeypatch)
     monkeypatch.setattr(solver_run, "START_STEPS", 6)  # as there
     reconstruct(SCENE, tmp_path / "cpu", with_overrides(preset("balanced"), [*TINY, "device=cpu"]))
     states = [json.loads((tmp_path / name / "run.json").read_text()) for name in ("gpu", "cpu")]

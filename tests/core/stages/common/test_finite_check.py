@@ -20,6 +20,7 @@ from irgspp.core.stages.second.refinement.refinement import Refinement
 from irgspp.core.stages.second.solver import light_materials
 from irgspp.core.stages.second.solver.light_material_solver import LightMaterialSolver
 from small_scenes import small_scene
+from unwrapped_here import unwrap_here
 
 SCENE = small_scene("bowl")  # it has half as many views as the demo's
 SETTINGS = [
@@ -49,11 +50,12 @@ COMMAND = [str(SCENE), "--preset", "draft", *(word for setting in SETTINGS for w
 
 @pytest.fixture(scope="module", autouse=True)
 def read_once():
-    """Read the dataset once for all jobs, and leave the Blender scene out of them."""
+    """Read the dataset once for all jobs, leave the Blender scene out of them, and unwrap here."""
     data = load_dataset(SCENE, preset("draft").data)
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(pipeline, "load_dataset", lambda path, *_: {SCENE: data}[path])
         patch.setattr(pipeline, "write_blend", lambda *_: None)
+        unwrap_here(patch)
         yield
 
 
