@@ -28,7 +28,7 @@ def relightable(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def warm():
     """The registered extension; relighting workers stay loaded from test to test. Tests that need it come last, see `tests/conftest.py`."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv("IRGSPP_PYTHON", blender_side.ENGINE)
+        patch.setenv("IRGSPP_PYTHON", blender_side.warm())
         bpy.ops.wm.read_homefile(use_empty=True)
         registration.register()
         yield

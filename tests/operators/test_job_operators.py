@@ -5,7 +5,7 @@ import json
 
 import bpy
 import pytest
-from blender_side import ENGINE
+from blender_side import warm
 from engine_jobs import DATASET, TINY, leave_finished, until
 from engine_jobs import counter as counter
 from engine_jobs import registry as registry
@@ -23,7 +23,7 @@ SETTINGS = " ".join(f"{key}={value}" for key, value in TINY.items())
 
 @pytest.fixture(autouse=True)
 def extension(registry, monkeypatch):
-    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     bpy.ops.wm.read_homefile(use_empty=True)
     registration.register()
     yield

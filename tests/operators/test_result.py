@@ -9,7 +9,7 @@ import bpy
 import irgspp
 import numpy as np
 import pytest
-from blender_side import ENGINE, ROOT
+from blender_side import ROOT, warm
 from engine_jobs import finished_run, leave_finished, reconstruction
 from irgspp.irgspp_addon.importer.edited_mesh import save_edited
 from irgspp.irgspp_addon.importer.materials import source_of
@@ -25,7 +25,7 @@ def finished(tmp_path_factory):
     if finished_run(tmp_path_factory).exists():
         return finished_run(tmp_path_factory)
     run = tmp_path_factory.mktemp("finished") / "tiny"
-    command = [ENGINE, str(ROOT / "irgspp_addon" / "launch.py"), "__main__", *reconstruction(run)]
+    command = [warm(), str(ROOT / "irgspp_addon" / "launch.py"), "__main__", *reconstruction(run)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=600)
     assert done.returncode == 0, done.stderr
     leave_finished(run, tmp_path_factory)
@@ -35,7 +35,7 @@ def finished(tmp_path_factory):
 @pytest.fixture
 def run(finished, tmp_path, monkeypatch):
     """A copy of it, imported by the registered extension into an empty file."""
-    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     run = shutil.copytree(finished, tmp_path / "tiny").resolve()
     bpy.ops.wm.read_homefile(use_empty=True)
     irgspp.register()

@@ -14,6 +14,7 @@ from importlib import import_module
 from pathlib import Path
 
 import numpy as np
+import warm_engine
 
 RESOURCES = None  # folder of Blender's user files for this process alone, if none is set; conftest.py removes it
 if "BLENDER_USER_RESOURCES" not in os.environ:
@@ -26,6 +27,13 @@ import_module("bpy")
 
 ROOT = Path(__file__).resolve().parents[2]
 ENGINE = os.environ.get("IRGSPP_PYTHON") or sys.executable
+
+
+def warm() -> str:
+    """Return a stand-in of the engine's Python whose processes have the libraries loaded already."""
+    return warm_engine.engine(ENGINE)
+
+
 START = """
 import runpy, sys
 from pathlib import Path
@@ -38,7 +46,7 @@ runpy.run_path(script, run_name="__main__")
 
 def in_engine(script: Path, *arguments: object) -> str:
     """Run a script with the package `irgspp` in the engine's Python, and return its output."""
-    command = [ENGINE, "-c", START, str(ROOT), str(script), *map(str, arguments)]
+    command = [warm(), "-c", START, str(ROOT), str(script), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, check=False, timeout=300)
     assert done.returncode == 0, done.stderr
     return done.stdout
