@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Jobs with the real engine: finished, cancelled, crashed, on a full disk, without the engine."""
+"""Jobs with the real engine: finished, cancelled, crashed, on a full disk, without the engine; of some, the processes are copies."""
 
 import json
 import os
@@ -8,7 +8,7 @@ import stat
 from pathlib import Path
 
 import pytest
-from blender_side import ENGINE
+from blender_side import ENGINE, warm
 from engine_jobs import PATIENCE, POSIX, leave_finished, reconstruction, until
 from engine_jobs import registry as registry
 from irgspp.core.errors import InputError
@@ -48,7 +48,8 @@ def test_reconstruction_reports_progress_and_writes_a_run(tmp_path, tmp_path_fac
     leave_finished(tmp_path / "run", tmp_path_factory)
 
 
-def test_cancelled_reconstruction_is_resumed_and_finishes_early(tmp_path):
+def test_cancelled_reconstruction_is_resumed_and_finishes_early(tmp_path, monkeypatch):
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     words = reconstruction(tmp_path / "run", first__iterations=1_000_000)
     job = queue.start("reconstruct", "tiny", tmp_path / "run", words)
     until(lambda: job.phase == "first stage" and job.step > 0)
@@ -73,7 +74,8 @@ def test_cancelled_reconstruction_is_resumed_and_finishes_early(tmp_path):
 
 
 @POSIX
-def test_crash_is_reported_and_can_be_resumed(tmp_path):
+def test_crash_is_reported_and_can_be_resumed(tmp_path, monkeypatch):
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     job = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", first__iterations=1_000_000))
     until(lambda: job.phase == "first stage" and job.step > 0)
     os.kill(json.loads((job.notes / "worker.json").read_text())["pid"], signal.SIGKILL)
@@ -106,7 +108,7 @@ def test_full_disk_is_reported_in_one_line_and_loses_nothing(tmp_path, monkeypat
     queue.wait(job, PATIENCE)
     assert job.state == "failed" and "larger than this system allows" in job.error and "\n" not in job.error
     assert run_state(tmp_path / "run")["status"] == "failed"
-    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     queue.resume(job)
     until(lambda: job.phase == "second stage" or job.finished)
     assert job.state == "running", job.log_tail()
@@ -115,7 +117,7 @@ def test_full_disk_is_reported_in_one_line_and_loses_nothing(tmp_path, monkeypat
 @POSIX
 def test_engine_that_is_deleted_while_a_job_runs(tmp_path, monkeypatch):
     wrapper = tmp_path / "python"
-    wrapper.write_text(f'#!/bin/sh\nexec "{ENGINE}" "$@"\n')
+    wrapper.write_text(f'#!/bin/sh\nexec "{warm()}" "$@"\n')
     wrapper.chmod(wrapper.stat().st_mode | stat.S_IXUSR)
     monkeypatch.setenv("IRGSPP_PYTHON", str(wrapper))
     first = queue.start("reconstruct", "tiny", tmp_path / "run", reconstruction(tmp_path / "run", first__iterations=1_000_000))
