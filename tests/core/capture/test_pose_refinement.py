@@ -60,27 +60,32 @@ def place_error(scene, images: list[UndistortedImage]) -> float:
     return track_error([one.view.camera for one in images], tracks)
 
 
-def test_wrong_poses_are_refined_in_two_rounds(table_scene, heard):
+@pytest.fixture(scope="module")
+def refined(table_scene, heard):
+    """Photographs with wrong poses, their refinement, and what it said."""
     model, images = captured(table_scene, 0.25)
     lines = heard()
-    found = refine_poses(model, images, {}, 0, lines)
+    return model, images, refine_poses(model, images, {}, 0, lines), lines
+
+
+def test_wrong_poses_are_refined_in_two_rounds(table_scene, refined):
+    _, images, found, lines = refined
     before, after = place_error(table_scene, images), place_error(table_scene, found.images)
     assert before > 0.4 and after < 0.12
     assert [name for name, _ in lines.phases] == ["dense points", "refine poses"] * 2
     assert any(line.startswith("poses: refined on ") for line in lines.messages)
 
 
-def test_the_refined_model_holds_cameras_points_and_places_that_fit(table_scene):
-    model, images = captured(table_scene, 0.25)
-    found = refine_poses(model, images, {}, 0, Silent())
-    refined = found.model
-    assert len(refined.position) > 5 * len(model.position) and refined.error < 0.7
-    for i, (posed, image) in enumerate(zip(refined.posed, found.images, strict=True)):
+def test_the_refined_model_holds_cameras_points_and_places_that_fit(refined):
+    model, _, found, _ = refined
+    better = found.model
+    assert len(better.position) > 5 * len(model.position) and better.error < 0.7
+    for i, (posed, image) in enumerate(zip(better.posed, found.images, strict=True)):
         assert posed is image.posed and posed.to_world == pytest.approx(image.camera.to_world)
         assert image.camera.fx == pytest.approx(image.view.camera.fx) == posed.lens.fx  # of images that are not reduced
-        own = (refined.track_photograph == i) & (refined.track_point >= len(model.position))
-        places = image.camera.project(refined.position[refined.track_point[own]])[0]
-        assert np.median(np.linalg.norm(places - refined.track_pixel[own], axis=1)) < 0.2
+        own = (better.track_photograph == i) & (better.track_point >= len(model.position))
+        places = image.camera.project(better.position[better.track_point[own]])[0]
+        assert np.median(np.linalg.norm(places - better.track_pixel[own], axis=1)) < 0.2
 
 
 def test_a_wrong_focal_length_is_mended(table_scene):

@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What follows where few photographs fit together: which retries run, which of their models is kept, and what is said."""
 
+import shutil
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -23,24 +25,32 @@ def photographs(tmp_path_factory):
     return [shot.photograph for shot in take(tmp_path_factory.mktemp("photographs"), cameras(PHOTOGRAPHS), textures())]
 
 
+def searched(patch, photographs, folder, heard, enough):
+    """Run the search while the mapper registers few photographs, except by databases with these names; also return progress and calls."""
+    mapper, progress, calls = pose_search.map_photographs, heard(), []
+
+    def few(path, count, attempt, seed, progress):
+        calls.append((path.name, attempt.lenient))
+        models = mapper(path, count, attempt, seed, progress)
+        for number in [] if path.name in enough else sorted(models[0].reg_image_ids())[FEW:]:
+            models[0].deregister_frame(models[0].image(number).frame_id)
+        return models
+
+    patch.setattr(pose_search, "map_photographs", few)
+    return PoseSearch(photographs, folder, CaptureSettings(), 0, progress, None).run(), progress, calls
+
+
 @pytest.fixture
 def search(photographs, tmp_path, heard, monkeypatch):
-    """Function that runs the search while the mapper registers few photographs, except by databases with these names; and its progress."""
+    return lambda *enough: searched(monkeypatch, photographs, tmp_path, heard, enough)
 
-    def run(*enough: str):
-        mapper, progress, calls = pose_search.map_photographs, heard(), []
 
-        def few(path, count, attempt, seed, progress):
-            calls.append((path.name, attempt.lenient))
-            models = mapper(path, count, attempt, seed, progress)
-            for number in [] if path.name in enough else sorted(models[0].reg_image_ids())[FEW:]:
-                models[0].deregister_frame(models[0].image(number).frame_id)
-            return models
-
-        monkeypatch.setattr(pose_search, "map_photographs", few)
-        return PoseSearch(photographs, tmp_path, CaptureSettings(), 0, progress, None).run(), progress, calls
-
-    return run
+@pytest.fixture(scope="module")
+def guided(photographs, heard, tmp_path_factory):
+    """A search in which guided matching is enough, and its folder."""
+    folder = tmp_path_factory.mktemp("guided")
+    with pytest.MonkeyPatch.context() as patch:
+        return *searched(patch, photographs, folder, heard, ("database_guided.db",)), folder
 
 
 def test_nothing_is_tried_again_where_all_fit(search):
@@ -48,8 +58,8 @@ def test_nothing_is_tried_again_where_all_fit(search):
     assert solution.registered == PHOTOGRAPHS and calls == [("database.db", False)] and not progress.messages
 
 
-def test_guided_matching_follows_weaker_matches(search, tmp_path):
-    solution, progress, calls = search("database_guided.db")
+def test_guided_matching_follows_weaker_matches(guided):
+    solution, progress, calls, folder = guided
     assert calls == [("database.db", False), ("database.db", True), ("database_guided.db", True)]
     assert solution.registered == PHOTOGRAPHS
     assert progress.messages == [
@@ -57,15 +67,15 @@ def test_guided_matching_follows_weaker_matches(search, tmp_path):
         "only 3 of 6 photographs fit together; searching more matches in pairs that match",
         "6 of 6 photographs fit together",
     ]
-    first, guided = (inlier_counts(tmp_path / name, PHOTOGRAPHS) for name in ("database.db", "database_guided.db"))
-    assert guided.sum() > 1.1 * first.sum() and np.array_equal(guided, solution.inliers)
-    assert not (tmp_path / "database_mixed.db").exists()
+    first, more = (inlier_counts(folder / name, PHOTOGRAPHS) for name in ("database.db", "database_guided.db"))
+    assert more.sum() > 1.1 * first.sum() and np.array_equal(more, solution.inliers)
+    assert not (folder / "database_mixed.db").exists()
 
 
-def test_poses_of_guided_matching_follow_the_first_matches(search, tmp_path):
-    solution, _, _ = search("database_guided.db")
+def test_poses_of_guided_matching_follow_the_first_matches(guided):
+    solution, _, _, folder = guided
     shared = set()
-    with pycolmap.Database.open(tmp_path / "database.db") as database:
+    with pycolmap.Database.open(folder / "database.db") as database:
         pairs, geometries = database.read_two_view_geometries()
     for pair, geometry in zip(pairs, geometries, strict=True):
         one, other = pycolmap.pair_id_to_image_pair(pair)
@@ -106,20 +116,17 @@ def test_contradicted_poses_of_few_more_photographs_are_not_preferred(tmp_path):
     assert max(right, wrong, part, key=lambda s: s.quality) is right and max(wrong, part, key=lambda s: s.quality) is wrong
 
 
-def test_the_search_gives_the_same_twice(search, photographs, tmp_path, heard):
-    one, _, _ = search("database_guided.db")
-    other = PoseSearch(photographs, tmp_path / "again", CaptureSettings(), 0, heard(), None)
-    other.folder.mkdir()
-    poses = [{n: s.models[0].image(n).cam_from_world().matrix() for n in s.models[0].reg_image_ids()} for s in (one, other.run())]
+def test_the_search_gives_the_same_twice(search, guided):
+    one, other = guided[0], search("database_guided.db")[0]
+    poses = [{n: s.models[0].image(n).cam_from_world().matrix() for n in s.models[0].reg_image_ids()} for s in (one, other)]
     assert poses[0].keys() == poses[1].keys() and all(np.array_equal(poses[0][n], poses[1][n]) for n in poses[0])
 
 
-def test_pairs_of_kept_photographs_keep_their_matches(search, tmp_path):
-    search("database_guided.db")
-    first, guided = tmp_path / "database.db", tmp_path / "database_guided.db"
-    before, wanted = inlier_counts(guided, PHOTOGRAPHS), inlier_counts(first, PHOTOGRAPHS)
-    restore_matches(first, guided, {2})
-    after = inlier_counts(guided, PHOTOGRAPHS)
+def test_pairs_of_kept_photographs_keep_their_matches(guided, tmp_path):
+    first, changed = (Path(shutil.copy(guided[3] / name, tmp_path)) for name in ("database.db", "database_guided.db"))
+    before, wanted = inlier_counts(changed, PHOTOGRAPHS), inlier_counts(first, PHOTOGRAPHS)
+    restore_matches(first, changed, {2})
+    after = inlier_counts(changed, PHOTOGRAPHS)
     assert np.array_equal(after[2], before[2]) and (before[2] != wanted[2]).any()
     others = np.delete(np.arange(PHOTOGRAPHS), 2)
     assert np.array_equal(after[np.ix_(others, others)], wanted[np.ix_(others, others)])
