@@ -2,6 +2,7 @@
 """Photographs of a dataset with cameras: the object is cut out, and the cameras stay."""
 
 import json
+import shutil
 from dataclasses import replace
 
 import numpy as np
@@ -24,11 +25,10 @@ from PIL import Image
 SETTINGS = CaptureSettings()
 
 
-@pytest.fixture
-def posed(table_scene, tmp_path, monkeypatch):
-    """Folder of photographs with transforms.json; a search for poses fails the test."""
-    monkeypatch.setattr(module, "find_poses", lambda *_: pytest.fail("poses were searched"))
-    folder, frames = tmp_path / "posed", []
+@pytest.fixture(scope="module")
+def photographs(table_scene, tmp_path_factory):
+    """Folder of photographs with transforms.json."""
+    folder, frames = tmp_path_factory.mktemp("photographs") / "posed", []
     (folder / "images").mkdir(parents=True)
     for view in table_scene.views:
         Image.fromarray(np.round(255 * view.colour).astype(np.uint8)).save(folder / "images" / f"{view.name}.png")
@@ -40,50 +40,72 @@ def posed(table_scene, tmp_path, monkeypatch):
 
 
 @pytest.fixture
+def posed(photographs, tmp_path, monkeypatch):
+    """A copy of it; a search for poses fails the test."""
+    monkeypatch.setattr(module, "find_poses", lambda *_: pytest.fail("poses were searched"))
+    return shutil.copytree(photographs, tmp_path / "posed")
+
+
+@pytest.fixture(scope="module")
+def finished(photographs, dense, heard, tmp_path_factory):
+    """The photographs cut out, and what was said."""
+    folder, progress = tmp_path_factory.mktemp("finished") / "cut", heard()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(module, "find_poses", lambda *_: pytest.fail("poses were searched"))
+        patch.setattr("irgspp.core.capture.object_masks.find_dense_points", lambda *_: dense)
+        capture(photographs, folder, SETTINGS, 0, progress)
+    return folder, progress.messages
+
+
+@pytest.fixture
+def cut(finished, tmp_path):
+    """A copy of it, to be changed."""
+    return shutil.copytree(finished[0], tmp_path / "cut")
+
+
+@pytest.fixture
 def known_points(dense, monkeypatch):
     """Replace stereo by the points that it finds in this scene."""
     monkeypatch.setattr("irgspp.core.capture.object_masks.find_dense_points", lambda *_: dense)
 
 
-def test_the_object_is_cut_out_and_the_cameras_stay(posed, table_scene, known_points, heard, tmp_path):
-    progress = heard()
-    folder = capture(posed, tmp_path / "cut", SETTINGS, 0, progress)
+def test_the_object_is_cut_out_and_the_cameras_stay(finished, table_scene):
+    folder, messages = finished
     data = load_dataset(folder)
     views = {view.name: view for view in (*data.train, *data.test)}
     assert len(views) == len(table_scene.views) and data.surroundings is not None
     assert min(overlap(view.alpha, table_scene.masks[name]) for name, view in views.items()) > 0.9
     state = json.loads((folder / "capture.json").read_text())
     assert state["error"] is None and state["metres_per_unit"] is None and "that of the dataset" in (folder / "report.html").read_text()
-    assert "the cameras of" in progress.messages[0] and "are those of the dataset" in progress.messages[0]
+    assert "the cameras of" in messages[0] and "are those of the dataset" in messages[0]
     similarity = np.array(json.loads((folder / "frame.json").read_text())["similarity"])
     assert np.cbrt(np.linalg.det(similarity[:3, :3])) == pytest.approx(1)  # the dataset's unit
     centres = moved_points(np.stack([view.camera.centre for view in table_scene.views]), similarity)
     np.testing.assert_allclose(np.stack([views[view.name].camera.centre for view in table_scene.views]), centres, atol=1e-5)
 
 
-def test_a_sphere_chooses_the_object_of_posed_photographs(posed, known_points, heard, tmp_path):
-    folder = capture(posed, tmp_path / "cut", SETTINGS, 0, heard())
-    before = (folder / "transforms.json").read_text()
-    bound = json.loads((folder / "capture.json").read_text())["bound"]
+def test_a_sphere_chooses_the_object_of_posed_photographs(photographs, cut, known_points, heard, monkeypatch):
+    monkeypatch.setattr(module, "find_poses", lambda *_: pytest.fail("poses were searched"))
+    before = (cut / "transforms.json").read_text()
+    bound = json.loads((cut / "capture.json").read_text())["bound"]
     sphere = [f"capture.centre={','.join(map(repr, bound['centre']))}", f"capture.radius={1.1 * bound['radius']}"]
-    capture(posed, folder, with_overrides(Settings(), sphere).capture, 0, heard())
-    assert (folder / "transforms.json").read_text() == before
-    assert json.loads((folder / "capture.json").read_text())["bound"]["radius"] == pytest.approx(1.1 * bound["radius"])
+    capture(photographs, cut, with_overrides(Settings(), sphere).capture, 0, heard())
+    assert (cut / "transforms.json").read_text() == before
+    assert json.loads((cut / "capture.json").read_text())["bound"]["radius"] == pytest.approx(1.1 * bound["radius"])
 
 
-def test_two_points_give_the_true_size(posed, table_scene, known_points, tmp_path, capsys):
-    folder = str(tmp_path / "cut")
-    assert main(["capture", str(posed), "-o", folder]) == 0
-    before = load_dataset(tmp_path / "cut")
+def test_two_points_give_the_true_size(photographs, cut, known_points, tmp_path, capsys):
+    folder = str(cut)
+    before = load_dataset(cut)
     assert main(["capture", folder, "--distance", "0", "0", "0", "0", "-1e-1", "0", "5mm"]) == 0
-    after, state = load_dataset(tmp_path / "cut"), json.loads((tmp_path / "cut" / "capture.json").read_text())
+    after, state = load_dataset(cut), json.loads((cut / "capture.json").read_text())
     for one, other in zip(before.train, after.train, strict=True):
         np.testing.assert_allclose(0.05 * one.camera.centre, other.camera.centre, atol=1e-6)
     assert after.bound.radius == pytest.approx(0.05 * before.bound.radius, rel=1e-3)
     assert state["metres_per_unit"] == 1.0 and after.surroundings.spacing == pytest.approx(0.05 * before.surroundings.spacing, rel=1e-3)
     assert main(["capture", folder]) == 0  # finished before: nothing changes
-    assert load_dataset(tmp_path / "cut").bound == after.bound
-    assert main(["capture", str(posed), "-o", str(tmp_path / "new"), "--distance", *"000001", "5mm"]) == 2
+    assert load_dataset(cut).bound == after.bound
+    assert main(["capture", str(photographs), "-o", str(tmp_path / "new"), "--distance", *"000001", "5mm"]) == 2
     assert "--distance: needs a finished capture" in capsys.readouterr().err
 
 

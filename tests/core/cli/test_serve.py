@@ -11,6 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warm_engine
+from irgspp.core.machine.blender_process import LAUNCHER
 from irgspp.core.relight.backends import open_relighter
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.relight.relight_settings import RelightSettings
@@ -33,10 +35,10 @@ def run(tmp_path_factory):
 class Worker:
     """Client of `irgspp serve`."""
 
-    def __init__(self, run: Path, session: Path) -> None:
+    def __init__(self, run: Path, session: Path, python: str = sys.executable) -> None:
         self.session, self.number = session, 0
         session.mkdir()
-        words = [sys.executable, "-m", "irgspp", "serve", str(run), "--session", str(session)]
+        words = [python, str(LAUNCHER), "__main__", "serve", str(run), "--session", str(session)]
         self.process = subprocess.Popen(words, stdin=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
     def ask(self, channel="a", camera=EYE, **values):
@@ -146,7 +148,7 @@ def test_only_the_newest_request_is_answered_and_cancel_stops(worker):
 
 def test_channels_share_the_worker(worker):
     big = Camera(256, 192, 280.0, 280.0, 128.0, 96.0, EYE.to_world)
-    slow = worker.ask(channel="slow", camera=big, samples=1024)
+    slow = worker.ask(channel="slow", camera=big, samples=512)
     quick = worker.ask(channel="quick", samples=4)
     assert worker.answer(quick, "quick")["error"] is None
     assert worker.answer(slow, "slow")["error"] is None
@@ -194,7 +196,7 @@ def test_few_images_are_kept(worker):
 
 @pytest.mark.parametrize("how", ["stdin", "folder"])  # the third is `stop`, at the end of the fixture `worker`
 def test_it_ends_when_asked(run, tmp_path, how):
-    worker = Worker(run, tmp_path / "session")
+    worker = Worker(run, tmp_path / "session", warm_engine.engine(sys.executable))
     assert worker.process.stdin is not None
     worker.answer(worker.ask(samples=4))
     if how == "stdin":
@@ -234,7 +236,7 @@ def _runs(pid: int) -> bool:
 
 
 def test_runs_that_can_not_be_served(tmp_path):
-    words = [sys.executable, "-m", "irgspp", "serve", str(tmp_path / "none")]
+    words = [warm_engine.engine(sys.executable), str(LAUNCHER), "__main__", "serve", str(tmp_path / "none")]
     for session, text in ((tmp_path, "no such file"), (tmp_path / "gone", "is not a folder")):
         done = subprocess.run([*words, "--session", str(session)], capture_output=True, text=True, stdin=subprocess.PIPE, check=False)
         assert done.returncode == 2 and text in done.stderr
