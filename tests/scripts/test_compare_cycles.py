@@ -36,7 +36,7 @@ def differences(script, cycles, light, case, samples, cycles_samples):
 
 
 @pytest.mark.parametrize(
-    ("case", "samples", "cycles_samples"), [("diffuse", 256, 512), ("metal", 512, 2048), ("metal on diffuse", 256, 1024)]
+    ("case", "samples", "cycles_samples"), [("diffuse", 128, 256), ("metal", 512, 2048), ("metal on diffuse", 256, 512)]
 )
 def test_same_models_agree(script, cycles, light, case, samples, cycles_samples):
     for difference in differences(script, cycles, light, case, samples, cycles_samples):
@@ -45,9 +45,9 @@ def test_same_models_agree(script, cycles, light, case, samples, cycles_samples)
 
 def test_coated_diffuse_differs_by_what_the_coat_reflects(script, cycles, light):
     """Principled takes from its diffuse lobe what its specular one reflects, about 5 % here; with the same taken from ours they agree."""
-    for difference in differences(script, cycles, light, "dielectric", 256, 512):
+    for difference in differences(script, cycles, light, "dielectric", 128, 256):
         assert 0.03 < difference.signed < 0.07, difference.row()
-    for difference in differences(script, cycles, light, "dielectric, 1-E_s", 256, 512):
+    for difference in differences(script, cycles, light, "dielectric, 1-E_s", 128, 256):
         assert difference.relative < LIMIT and abs(difference.signed) < 0.01, difference.row()
 
 
