@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+import warm_engine
 from irgspp.core.capture.exif import EXIF_IFD
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.errors import InputError
@@ -32,7 +33,8 @@ def capture(tmp_path_factory):
     numbers = [word for name, value in NUMBERS.items() for word in (f"--{name}", str(value))]
     options = ["--size", "80", "60", "--relight", "studio", *numbers]
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder), "OMP_WAIT_POLICY": "PASSIVE"}
-    command = [sys.executable, str(ROOT / "scripts" / "render_capture.py"), "--scene", "demo", "-o", str(folder / "out"), *options]
+    python = warm_engine.engine(sys.executable)
+    command = [python, str(ROOT / "scripts" / "render_capture.py"), "--scene", "demo", "-o", str(folder / "out"), *options]
     done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr
     return folder / "out"

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warm_engine
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.evaluation.ground_truth import load_scene_truth, load_truth
 from scripts_folder import script as script
@@ -34,7 +35,8 @@ bpy.ops.wm.save_as_mainfile(filepath=sys.argv[1])
 
 def run(*arguments: object, cwd: Path) -> subprocess.CompletedProcess:
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(cwd), "OMP_WAIT_POLICY": "PASSIVE"}
-    return subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    command = [warm_engine.engine(sys.executable), *map(str, arguments)]
+    return subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
 
 
 @pytest.fixture(scope="module")

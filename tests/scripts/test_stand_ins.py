@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import warm_engine
 from irgspp.core.datasets.load import load_dataset
 from irgspp.core.shading.environment_lookup import texel_directions
 from scripts_folder import SCRIPTS, scripts_on_path
@@ -38,7 +39,7 @@ def test_each_kind_is_read_as_what_it_stands_in_for(name, source, tmp_path):
 
 def run(out: Path) -> subprocess.CompletedProcess:
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(out.parent), "OMP_WAIT_POLICY": "PASSIVE"}
-    words = [sys.executable, str(SCRIPTS / "stand_ins.py"), "-o", str(out), *WORDS]
+    words = [warm_engine.engine(sys.executable), str(SCRIPTS / "stand_ins.py"), "-o", str(out), *WORDS]
     return subprocess.run(words, capture_output=True, text=True, env=environment, check=False)
 
 

@@ -9,6 +9,7 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import warm_engine
 from irgspp.core.io.exr import rgb_channels, write_exr
 from irgspp.core.shading.environment_lookup import texel_directions
 from shared_folder import made_once
@@ -67,5 +68,6 @@ def _render(folder: Path) -> None:
 
 def _run(folder: Path, *arguments: object) -> None:
     environment = {**os.environ, "BLENDER_USER_RESOURCES": str(folder), "OMP_WAIT_POLICY": "PASSIVE"}
-    done = subprocess.run([sys.executable, *map(str, arguments)], capture_output=True, text=True, env=environment, check=False)
+    command = [warm_engine.engine(sys.executable), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, env=environment, check=False)
     assert done.returncode == 0, done.stderr

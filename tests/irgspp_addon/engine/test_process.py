@@ -8,7 +8,7 @@ import sys
 
 import bpy
 import pytest
-from blender_side import ENGINE, ROOT
+from blender_side import ENGINE, ROOT, warm
 from engine_jobs import registry as registry
 from irgspp.core.errors import InputError
 from irgspp.core.machine.version import LIBRARIES, VERSION, numbers
@@ -67,7 +67,7 @@ def test_engine_that_works_is_remembered(monkeypatch):
 
 
 def test_check_as_a_job(monkeypatch):
-    monkeypatch.setenv("IRGSPP_PYTHON", ENGINE)
+    monkeypatch.setenv("IRGSPP_PYTHON", warm())
     monkeypatch.setattr(queue, "ON_END", engine_check.ON_END)
     job = engine_check.check_in_background()
     assert engine_check.check_in_background() is job
