@@ -172,7 +172,7 @@ def look(thing, run_folder, folder) -> np.ndarray:
     for other in scene.objects:
         other.hide_render = other != thing
     scene.world = world_from_map(run_folder / "environment.exr")
-    see_through(scene, Camera(96, 96, 120.0, 120.0, 48.0, 48.0, look_at((2.6, -1.8, 1.9), OFFSET)), "eye")
+    see_through(scene, Camera(56, 56, 70.0, 70.0, 28.0, 28.0, look_at((2.6, -1.8, 1.9), OFFSET)), "eye")
     scene.cycles.device = "CPU"
     pixels = straight_srgb(render(scene, folder / "look.exr", 64))
     return pixels[..., :3] * pixels[..., 3:]
