@@ -38,10 +38,13 @@ class Solid:
     def view(self, camera: Camera, depth_noise: float = 0.0, seed: int = 0) -> GBuffer:
         rays = camera.rays().astype(np.float64)
         length = np.linalg.norm(rays, axis=-1)
-        along = np.full(length.shape, 1.0)
+        direction, along = (rays / length[..., None]).reshape(-1, 3), np.full(length.size, 1.0)
+        moving = np.arange(length.size)
         for _ in range(80):
-            along += self.distance(camera.centre + along[..., None] * rays / length[..., None])
-            along = np.minimum(along, 20.0)
+            step = self.distance(camera.centre + along[moving, None] * direction[moving])
+            along[moving] = np.minimum(along[moving] + step, 20.0)
+            moving = moving[(np.abs(step) > 1e-9) & (along[moving] < 20)]
+        along = along.reshape(length.shape)
         hit = along < 19
         points = camera.centre + along[..., None] * rays / length[..., None]
         normal = np.where(hit[..., None], self.gradient(points), 0)
