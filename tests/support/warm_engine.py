@@ -15,6 +15,7 @@ import json
 import os
 import runpy
 import select
+import shutil
 import signal
 import socket
 import subprocess
@@ -54,8 +55,7 @@ def engine(python: str) -> str:
     """Start a server in a Python, and return the program that stands for it; where processes can't be copied, that is the Python."""
     if not hasattr(os, "fork"):
         return python
-    made = tempfile.TemporaryDirectory(prefix="irgspp-warm-", ignore_cleanup_errors=True)
-    folder = Path(made.name)
+    folder = Path(tempfile.mkdtemp(prefix="irgspp-warm-"))  # the server removes it, as this process may end without any last words
     words = [python, "-P", __file__, str(folder / "socket")]
     server = subprocess.Popen(words, stdin=subprocess.PIPE, stdout=subprocess.PIPE, start_new_session=True)
     assert server.stdin is not None and server.stdout is not None
@@ -63,7 +63,6 @@ def engine(python: str) -> str:
     def end() -> None:
         server.stdin.close()
         server.wait()
-        made.cleanup()
 
     atexit.register(end)
     assert server.stdout.readline() == b"ready\n"
@@ -94,6 +93,7 @@ def serve(address: str) -> None:
                 attend(connection)
                 os._exit(0)
             connection.close()
+    shutil.rmtree(Path(address).parent, ignore_errors=True)
 
 
 def attend(connection: socket.socket) -> None:
