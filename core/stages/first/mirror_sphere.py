@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Mirror spheres: the surface of a ball of metal, of which stereo sees virtual images inside the ball.
 
-A convex mirror shows its surroundings at half its radius where it is looked at head-on, and at its surface towards its outline. What
-lies beside and behind it is matt, and stereo sees that. So voxels in front of such points are empty; what is left around a region of
-virtual images is a hull of the ball, to which a sphere is fitted.
+A convex mirror shows its surroundings at half its radius where it is looked at head-on, and at its surface towards its outline. The hull
+that is carved around a region of virtual images is one of the ball; a sphere is fitted to it.
 """
 
 from __future__ import annotations
@@ -13,17 +12,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import torch
-from scipy.ndimage import gaussian_filter, map_coordinates
-from scipy.spatial import KDTree
 
 from ...scene.dataset import View
 from ...scene.gaussians import Gaussians, quaternion_to
+from .carved_hull import carve_hull
 from .depth_anchors import DepthAnchors
 
-VOXELS = 56  # along the longest side of the region
-MARGIN = 0.03  # radii of the bound around the region's points: stereo's points within it are images, too
-CLEARANCE = 0.01  # radii of the bound by which a voxel must lie in front of a point to be empty
-BLUR_VOXELS = 0.7  # standard deviation of the blur of the hull
 DIRECTIONS, STEPS = 4000, 200  # rays from the centre to the end of the hull, and steps along each
 REACH = 0.01, 0.5  # first and last step, radii of the bound; the centre is at most as far from the region's
 FITS, ROUNDS = 4, 50  # of the centre, each with the hull seen from the one before; rounds of a robust fit
@@ -63,7 +57,7 @@ def mirror_sphere(views: Sequence[View], anchors: DepthAnchors, points: np.ndarr
         points: (M, 3) of the region, world.
         radius: of the bound, world units.
     """
-    empty, low, side = _empty_voxels(views, anchors, points, radius)
+    hull = carve_hull(views, anchors, points, radius)
     index = np.arange(DIRECTIONS) + 0.5  # a spiral of even density
     height, turn = 1 - 2 * index / DIRECTIONS, np.pi * (1 + 5**0.5) * index
     across = np.sqrt(1 - height**2)
@@ -71,8 +65,7 @@ def mirror_sphere(views: Sequence[View], anchors: DepthAnchors, points: np.ndarr
     distance = np.linspace(REACH[0] * radius, REACH[1] * radius, STEPS)
     centre, size, inliers = np.median(points, 0), 0.0, 0.0
     for _ in range(FITS):
-        place = (centre + direction[:, None] * distance[:, None] - low) / side
-        emptiness = map_coordinates(empty, place.reshape(-1, 3).T, order=1, mode="constant").reshape(DIRECTIONS, STEPS)
+        emptiness = hull.at(hull.emptiness, centre + direction[:, None] * distance[:, None])
         ended = (emptiness > 0.5).any(1)
         if ended.sum() < MIN_ENDS:
             return None
@@ -82,46 +75,6 @@ def mirror_sphere(views: Sequence[View], anchors: DepthAnchors, points: np.ndarr
             return None
     fits = inliers >= MIN_INLIERS and SIZES[0] * radius <= size <= SIZES[1] * radius
     return MirrorSphere(centre, size) if fits else None
-
-
-def _empty_voxels(views: Sequence[View], anchors: DepthAnchors, points: np.ndarray, radius: float) -> tuple[np.ndarray, np.ndarray, float]:
-    """Carve voxels around a region by the points of stereo that are seen behind them, and by the masks.
-
-    Returns:
-        Emptiness (A, B, C) in 0..1, the centre (3,) of the first voxel, and the side of a voxel.
-    """
-    tree, low, high = KDTree(points), points.min(0) - MARGIN * radius, points.max(0) + MARGIN * radius
-    side = float((high - low).max() / VOXELS)
-    axes = [np.arange(low[axis], high[axis] + side, side) for axis in range(3)]
-    voxels = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    empty = np.zeros(len(voxels), bool)
-    for number, view in enumerate(views):
-        depth = _matt_depth(view, *anchors.of_view(number), tree, MARGIN * radius)
-        pixel, distance = view.camera.project(voxels)
-        inside = view.camera.in_image(pixel, distance)
-        column, row = pixel[inside].astype(int).T
-        empty[inside] |= depth[row, column] > distance[inside] + CLEARANCE * radius
-    return gaussian_filter(empty.reshape([len(axis) for axis in axes]).astype(float), BLUR_VOXELS), low, side
-
-
-def _matt_depth(view: View, pixel: torch.Tensor, depth: torch.Tensor, images: KDTree, margin: float) -> np.ndarray:
-    """Return the depth (H, W) of what a view shows beside a region: infinite beside the object, 0 where it is not known.
-
-    Args:
-        view: training view.
-        pixel: (K,) flat indices of the pixels whose depth stereo knows.
-        depth: (K,) planar.
-        images: the region's points.
-        margin: distance from them within which a point is one of them.
-    """
-    camera, pixels, depths = view.camera, pixel.numpy(), depth.numpy()
-    result = np.zeros(camera.width * camera.height)
-    points = camera.centre + camera.rays().reshape(-1, 3)[pixels] * depths[:, None]
-    beside = images.query(points, distance_upper_bound=margin)[0] == np.inf
-    result[pixels[beside]] = depths[beside]
-    if view.alpha is not None:
-        result[view.alpha.reshape(-1) < 0.5] = np.inf
-    return result.reshape(camera.height, camera.width)
 
 
 def _fitted(points: np.ndarray, centre: np.ndarray) -> tuple[np.ndarray, float, float]:

@@ -24,6 +24,7 @@ from .initialization import initial_gaussians
 from .material_class import MaterialClass
 from .material_class_selection import material_class_named, select_material_class
 from .metal_selection import select_metal
+from .mirror_selection import select_mirrors
 from .schedule import densifies
 from .sphere_selection import select_spheres
 from .start import Start
@@ -118,6 +119,7 @@ def _selected(
     start = select_start(gaussians, trials, progress)
     start = select_metal(start, trials, progress)
     start = select_spheres(start, trials, progress)
+    start = select_mirrors(start, trials, progress)
     return material_class, start, select_open_edges(start, trials, progress)
 
 

@@ -1,46 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Spheres in hulls that views of matt surroundings carve around virtual images."""
 
-from pathlib import Path
-
 import numpy as np
 import pytest
 import torch
-from irgspp.core.scene.dataset import View
-from irgspp.core.stages.first.depth_anchors import COMPARED_VIEWS, DepthAnchors
+from images_in_a_ball import CENTRE, RADIUS, SHELL, anchored, blank, entered, images_in_a_ball
+from irgspp.core.stages.first.depth_anchors import DepthAnchors
 from irgspp.core.stages.first.mirror_sphere import WITHIN, MirrorSphere, mirror_sphere, moved_onto
-
-CENTRE, RADIUS, SHELL = np.array([0.1, -0.05, 0.08]), 0.3, 1.2  # of the ball, and of a matt shell around it
-
-
-def entered(camera, centre, radius, far=False):
-    """Planar depths (H, W) at which rays enter, or leave, a sphere; NaN where they miss it."""
-    rays, offset = camera.rays().astype(float), camera.centre - centre
-    a, b, c = (rays**2).sum(-1), (rays * offset).sum(-1), offset @ offset - radius**2
-    root = b * b - a * c
-    return np.where(root > 0, (-b + (1 if far else -1) * np.sqrt(np.maximum(root, 0))) / a, np.nan)
-
-
-def seen(cameras, depths):
-    """Views without pictures, and the anchors of a stereo that knows their planar depths (H, W), NaN for none."""
-    views = [View("0", camera, Path("0.png"), np.zeros((camera.height, camera.width, 3), np.float32), None) for camera in cameras]
-    pixels = [np.flatnonzero(np.isfinite(depth)) for depth in depths]
-    begin = torch.from_numpy(np.cumsum([0, *(len(pixel) for pixel in pixels)]))
-    depth = np.concatenate([one.reshape(-1)[pixel] for one, pixel in zip(depths, pixels, strict=True)]).astype(np.float32)
-    joined = torch.from_numpy(np.concatenate(pixels).astype(np.int32)), torch.from_numpy(depth)
-    return views, DepthAnchors(begin, *joined, torch.full((len(views), COMPARED_VIEWS), -1))
 
 
 @pytest.fixture
 def scene(camera_ring):
-    """Views of a shell's inner side and of images in a ball, on a sphere of three quarters of its radius; and the region of the images."""
-    cameras, depths, region = camera_ring(24, 96), [], []
-    for camera in cameras:
-        ball, shell = entered(camera, CENTRE, RADIUS), entered(camera, np.zeros(3), SHELL, far=True)
-        image = entered(camera, CENTRE, 0.75 * RADIUS)
-        depths.append(np.where(np.isfinite(ball), image, shell))
-        region.append((camera.centre + camera.rays() * image[..., None])[np.isfinite(image)])
-    return *seen(cameras, depths), np.concatenate(region)
+    return images_in_a_ball(camera_ring(24, 96))
 
 
 def test_the_ball_is_found_from_images_inside_it(scene):
@@ -66,8 +37,7 @@ def test_a_sheet_is_no_ball(camera_ring):
         at = camera.centre + rays * distance[..., None]
         on_plate = (np.abs(at[..., :2]) < 0.4).all(-1) & (distance > 0)
         depths.append(np.where(on_plate, distance, entered(camera, np.zeros(3), SHELL, far=True)))
-    views, anchors = seen(cameras, depths)
-    assert mirror_sphere(views, anchors, plate, 1.0) is None
+    assert mirror_sphere(blank(cameras), anchored(depths), plate, 1.0) is None
 
 
 def test_surfels_in_a_sphere_are_moved_onto_it_and_face_outwards(some_gaussians):
