@@ -56,7 +56,8 @@ class CarvedHull:
         Only for a hull with a surface.
         """
         solid = self.emptiness < 0.5
-        return self.at((distance_transform_edt(solid) - distance_transform_edt(~solid)) * self.side, points)
+        inside, outside = (np.asarray(distance_transform_edt(part)) for part in (solid, ~solid))
+        return self.at((inside - outside) * self.side, points)
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Return points (M, 3) of the surface, about one for each square of a voxel's side, and their normals (M, 3), outwards.

@@ -20,7 +20,8 @@ from .metal_selection import reason_against_metal
 from .start import Start
 from .start_trials import StartTrials
 
-# Colour spread of a region over that of the other points, medians, from which it is a mirror.
+# Colour spread of a region over that of the other points, medians, from which it is a mirror. On seven objects, eight parts of metal have
+# 2.3 to 5.7 (a ball, ears, gold, arm rings, a rod, a chain), a belt 1.9, 19 other regions .3 to 1.7, among them black gloss (.7).
 MIN_SPREAD = 2.0
 LEAST_SPREAD = 1 / 255  # that the other points count for: photographs are no finer
 MAX_METAL = 0.5  # fraction of a region's points that are metal already, from which it is left alone
