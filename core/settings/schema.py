@@ -69,7 +69,7 @@ class FirstStageSettings:
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     distortion_weight: Annotated[float, Range(0)] = 0.0  # loss weight: depth distortion (2DGS), per squared scene radius
     anchor_weight: Annotated[float, Range(0)] = 0.1  # loss weight: depth agrees with stereo's where photographs agree better there
-    metal_regions: Choice = "auto"  # where points lie in layers, start as metal or a ball of it; auto: by trial fits
+    metal_regions: Choice = "auto"  # where points lie in layers, start as metal or a ball of it; auto: by trial fits, and by colours
     # First part of the schedule, in which normals at edges may disagree; 0: as published; None: 0 or 0.6 by trial fits.
     open_edges: Annotated[float | None, Range(0, 1)] = None
     densification: Choice = "auto"  # density control clones and splits; auto: without masks; on: with masks from half of the Gaussians

@@ -62,9 +62,7 @@ class CarvedHull:
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
         """Return points (M, 3) of the surface, about one for each square of a voxel's side, and their normals (M, 3), outwards.
 
-        Where the voxels end there is none.
-
-        Only for a hull with a surface.
+        Where the voxels end there are none. Only for a hull with a surface.
         """
         place = np.asarray(marching_cubes(self.emptiness, 0.5)[0], np.float64)
         place = place[((place > 1) & (place < np.array(self.emptiness.shape) - 2)).all(1)]
