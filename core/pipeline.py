@@ -109,7 +109,7 @@ def reconstruct(
             recorder.message(size.line())
             if not (data.has_alpha or data.format == "capture"):
                 recorder.message(NO_MASKS)
-            plain = min(settings.surface.texels, size.size)
+            plain = min(settings.surface.tile_texels, size.size)
             settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
             settings = with_texture_size(settings, size.size)
             timed = chosen.device.type == "cpu" and not earlier  # GPUs were not measured, and a resumed job has done a part before
@@ -173,7 +173,7 @@ def _read(
     settings = with_texture_size(settings, size.size)
     check_disk_space(run, settings, data.pixels(distorted=True))
     memory = fit_into_memory(data, settings, device, progress)
-    check_texture_memory(size.size, data.pixels(), data.full_size_pixels)
+    check_texture_memory(settings.surface.texels, data.pixels(), data.full_size_pixels)
     return data, memory, size
 
 
@@ -258,9 +258,9 @@ class Job:
     def second_stage(self) -> None:
         """Solve the rendering equation, shadows and interreflections included, for materials and light."""
         deadline = None if self.deadline is None else self.deadline - AFTER_FUSION_RATIO * self.folder.seconds("geometry")
-        first, surface = self.results.first_stage, self.results.surface
+        first, surface, textures = self.results.first_stage, self.results.surface, self.settings.surface
         if self.settings.second.solver == "closed" and not self.folder.finished("surface"):  # the mesh stays as it is
-            self.unwrapping = UnwrapProcess(surface, self.settings.surface.texels, self.folder.path / UNWRAP)
+            self.unwrapping = UnwrapProcess(surface, textures.texels, self.folder.path / UNWRAP, textures.udim_tiles)
         solved = solve_second_stage(first, surface, self.data, self.settings, self.progress, deadline, self.folder)
         self.folder.state.setdefault("pace", {})["second"] = round(self.settings.pace * solved.schedule_scale, 3)
         solved.save(self.folder.path)
@@ -277,9 +277,9 @@ class Job:
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, named, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()
         why = self.folder.state["textures"]["why"]
-        mesh, self.folder.state["textures"] = fitted_textures(mesh, report, self.plain_texels, why)
+        mesh, self.folder.state["textures"] = fitted_textures(mesh, report, self.plain_texels, why, self.settings.surface.udim_tiles)
         self.progress.message(texture_line(self.folder.state["textures"]))
-        save_mesh_files(mesh, self.folder.path)
+        save_mesh_files(mesh, self.folder.path, self.settings.surface.udim_tiles)
 
     def scene(self) -> None:
         """Write the Blender file: object, light, and cameras with their photographs."""

@@ -8,9 +8,11 @@ import shutil
 from pathlib import Path
 
 from ..io.image import image_size, png_bits
+from ..io.run_json import udim_tiles
 from ..scene.mesh import Mesh
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.textures import load_textures
+from ..scene.udim import FOLDER
 from ..surface.texture_reduction import reduced_textures
 
 KEPT = "baked"  # folder in textures/
@@ -23,13 +25,13 @@ def bake_folder(run: Path) -> Path:
 
 
 def baked_size(run: Path) -> int | None:
-    """Return the texels along a side of a run's last bake; None where it has no textures.
+    """Return the texels along a side of a run's last bake, of a UDIM tile where it has several; None where it has no textures.
 
     Raises:
         InputError: if the texture can't be read.
     """
     file = bake_folder(run) / "albedo.png"
-    return image_size(file)[0] if file.is_file() else None
+    return image_size(file)[0] // udim_tiles(run) if file.is_file() else None
 
 
 def baked_bits(run: Path) -> int | None:
@@ -49,7 +51,7 @@ def is_made_from_bake(run: Path, size: int, bits: int) -> bool:
 
     Args:
         run: run folder.
-        size: texels along a side.
+        size: texels along a side (of a tile).
         bits: of each value; another number than the bake's is baked.
     """
     baked = baked_size(run)
@@ -61,15 +63,16 @@ def mesh_at_size(run: Path, size: int) -> Mesh:
 
     Args:
         run: run folder.
-        size: texels along a side, at most `baked_size`.
+        size: texels along a side (of a tile), at most `baked_size`.
 
     Raises:
         InputError: if a file can't be read.
     """
     baked = dataclasses.replace(load_mesh_ply(run / "mesh.ply"), textures=load_textures(bake_folder(run)))
-    if size == len(baked.textures["albedo"]):
+    along = size * udim_tiles(run)
+    if along == len(baked.textures["albedo"]):
         return baked
-    return dataclasses.replace(baked, textures=reduced_textures(baked, size))
+    return dataclasses.replace(baked, textures=reduced_textures(baked, along))
 
 
 def keep_bake(run: Path, partial: Path) -> None:
@@ -84,7 +87,7 @@ def keep_bake(run: Path, partial: Path) -> None:
         return
     shutil.rmtree(kept, ignore_errors=True)  # an incomplete one
     partial.mkdir(exist_ok=True)
-    shutil.copytree(run / "textures", partial / KEPT)
+    shutil.copytree(run / "textures", partial / KEPT, ignore=shutil.ignore_patterns(FOLDER))
     (partial / KEPT).replace(kept)
 
 

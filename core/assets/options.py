@@ -80,6 +80,13 @@ class AssetOptions:
             raise InputError("--occlusion", f"{suffix} has no place for it", "use --textures beside, or a .glb")
         return suffix not in BESIDE and self.textures != "beside"
 
+    def tiles(self, suffix: str, tiles: int) -> int:
+        """Return the UDIM tiles along a side of the textures in a file with this suffix, of a run with `tiles` of them.
+
+        A .blend and textures beside a file are tiled; glTF, USDZ and FBX with textures inside have none, and get one image.
+        """
+        return tiles if suffix == ".blend" or not self.packs(suffix) else 1
+
 
 def _holds_occlusion(suffix: str, textures: str) -> bool:
     """Return True where a file has an occlusion texture, or a folder of textures beside it that can have one."""

@@ -15,6 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from ..errors import InputError
+from ..io.run_json import udim_tiles
 from ..machine.blender_process import check_written, run_in_blender
 from ..progress.protocol import Progress
 from ..scene.mesh import Mesh, placed_mesh, standing
@@ -49,8 +50,9 @@ def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progr
         return
     with staged(target) as staging, tempfile.TemporaryDirectory() as scratch:
         textures = Path(scratch) / "textures" if packed else staging / f"{target.stem}_textures"
-        save_texture_set(run, textures, options.normal_map, eight=suffix == ".glb", occluded=mesh if options.occlusion else None)
-        job = {"textures": str(textures), "matrix": matrix.tolist(), "pack": packed, "occlusion": options.occlusion}
+        tiles, occluded = options.tiles(suffix, udim_tiles(run)), mesh if options.occlusion else None
+        save_texture_set(run, textures, options.normal_map, suffix == ".glb", occluded, tiles)
+        job = {"textures": str(textures), "tiles": tiles, "matrix": matrix.tolist(), "pack": packed, "occlusion": options.occlusion}
         job |= asset_job(run, target.stem, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
         progress.phase("write", 0)
@@ -83,7 +85,7 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         additions += ["--transform=" + ",".join(f"{value:.9g}" for value in options.matrix(".blend").reshape(-1))]
         if not packed:
             folder = staging / f"{target.stem}_textures"
-            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None)
+            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None, tiles=udim_tiles(run))
             additions += ["--textures", str(folder)]
         progress.phase("write", 0)
         write_blend(run, staging / target.name, material, progress, additions, target)

@@ -11,6 +11,7 @@ import numpy as np
 
 from ..errors import InputError
 from ..io.run_files import FINE_SURFACE
+from ..io.run_json import udim_tiles
 from ..progress.protocol import Progress
 from ..rendering.gbuffer_cache import GBufferCache
 from ..rendering.trusted_device import trusted_device
@@ -26,6 +27,8 @@ from ..surface.height import HeightMap, height_map
 from ..surface.meshing import Triangles, vertex_normals
 from ..surface.normal_source import NormalSource, run_normal_source
 from ..surface.texturing import baked_textures, mesh_with_materials, stoppable, textured_mesh
+from ..surface.tile_packing import packed_in_tiles
+from ..surface.unwrap import PADDING, unwrapped_again
 from ..surface.voxel_grid import make_grid
 from .bake_target import BakeTarget
 from .quad_mesh import quad_mesh
@@ -61,7 +64,7 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progr
         NoBlender: when quads are asked for and no Blender is found.
         IrgsppError: when Blender fails.
     """
-    given = quad_mesh(run, target.quads, progress) if target.quads is not None else None
+    given = _packed(quad_mesh(run, target.quads, progress), settings) if target.quads is not None else None
     given = load_edited_mesh(target.edited) if target.edited else given
     reconstruction = Reconstruction.load(run).to(trusted_device().device)
     if given is not None and target.edited is not None:
@@ -76,6 +79,15 @@ def rebaked_mesh(run: Path, settings: SurfaceSettings, target: BakeTarget, progr
     if heights is not None:
         mesh = dataclasses.replace(mesh, textures={**mesh.textures, "height": heights.image})
     return Rebaked(mesh, reconstruction, heights)
+
+
+def _packed(mesh: EditedMesh, settings: SurfaceSettings) -> EditedMesh:
+    """Return a mesh with its charts packed into the UDIM tiles that are set."""
+    if settings.udim_tiles == 1 or mesh.uvs is None:
+        return mesh
+    source, faces, uvs = packed_in_tiles(mesh.faces, mesh.uvs, settings.udim_tiles, settings.texels, PADDING, mesh.quads)
+    normals = None if mesh.normals is None else mesh.normals[source]
+    return EditedMesh(mesh.vertices[source], faces.astype(np.int64), uvs, normals, joined_quads(faces, mesh.quads), settings.udim_tiles)
 
 
 def _surfaces(
@@ -114,6 +126,9 @@ def _baked(
             mesh = mesh_with_materials(edited, given.uvs, views, samples, settings, progress, normal_source)
         return dataclasses.replace(mesh, quads=joined_quads(mesh.faces, given.quads))
     mesh = load_mesh_ply(run / "mesh.ply")
+    if settings.udim_tiles != udim_tiles(run):
+        progress.phase("unwrap", 0)
+        mesh = unwrapped_again(mesh, settings.texels, settings.udim_tiles)
     progress.phase("bake", len(views))
     return dataclasses.replace(mesh, textures=baked_textures(mesh, views, samples, voxel, settings, stoppable(progress), normal_source))
 

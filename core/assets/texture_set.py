@@ -13,12 +13,15 @@ from ..io.quantisation import bits_of, in_eight_bits, quantised
 from ..run_folder import read_run
 from ..scene.mesh import Mesh
 from ..scene.textures import CHANNELS, OPTIONAL, SIXTEEN_BITS, load_textures, occlusion_roughness_metallic, save_textures
+from ..scene.udim import tile_images
 from .occlusion import occlusion_texture
 
 NORMAL_MAPS = ("opengl", "directx")  # +Y up, and +Y down
 
 
-def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl", eight: bool = False, occluded: Mesh | None = None) -> None:
+def save_texture_set(
+    run: Path, folder: Path, normal_map: str = "opengl", eight: bool = False, occluded: Mesh | None = None, tiles: int = 1
+) -> None:
     """Write albedo (sRGB), roughness, metallic, normal, orm (red occlusion, green roughness, blue metallic), confidences as PNG files.
 
     They have the bits of the run's textures. A run with heights also gives height.png, and height.json with their scale and midlevel.
@@ -29,6 +32,7 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl", eight:
         normal_map: "opengl" or "directx", whose green channel is the inverse.
         eight: True to write 8 bits always, but for heights.
         occluded: mesh whose occlusion is written as occlusion.png and into red of orm.png; None for none.
+        tiles: UDIM tiles along a side, into which all are sliced: albedo.1001.png and so on.
 
     Raises:
         InputError: if the run lacks a texture, or the scale of its heights.
@@ -44,7 +48,7 @@ def save_texture_set(run: Path, folder: Path, normal_map: str = "opengl", eight:
     textures["orm"] = occlusion_roughness_metallic(textures)
     if normal_map == "directx":
         textures["normal"] = flipped_green(textures["normal"])
-    save_textures(textures, folder)
+    save_textures(textures if tiles == 1 else tile_images(textures, tiles), folder)
     if "height" in textures:
         record = read_run(run).get("height")
         if record is None:

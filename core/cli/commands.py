@@ -160,7 +160,8 @@ def settings_of(args: argparse.Namespace) -> Settings:
     """Return the settings that the options give; for `--resume` without options, or with another sphere alone, those of the run itself."""
     chosen = {name: getattr(args, name) for name in ("materials", "device", "seed", "time") if getattr(args, name) is not None}
     texture = [] if args.texture is None else [f"surface.texture={args.texture}"]
-    changes = [*texture, *capture_overrides(args), *args.set]
+    tiles = [] if args.udim is None else [f"surface.udim_tiles={args.udim}"]
+    changes = [*texture, *tiles, *capture_overrides(args), *args.set]
     of_sphere = all(change.partition("=")[0].strip() in SPHERE for change in changes)
     if args.resume and not chosen and of_sphere and args.preset is None and (args.run / "run.json").exists():
         return with_overrides(from_dict(read_run(args.run)["settings"], args.run / "run.json"), changes)
@@ -256,7 +257,7 @@ def bake(args: argparse.Namespace, terminal: Terminal | JobRecorder) -> int:
         from ..assets.rebake import bake
 
     mesh = {"triangles": args.triangles, "edited": args.mesh, "quads": args.quads}
-    bake(args.run, terminal, size=args.size, bits=args.bits, height=args.height, **mesh)
+    bake(args.run, terminal, size=args.size, bits=args.bits, udim=args.udim, height=args.height, **mesh)
     terminal.end_line()
     print(args.run)
     return 0

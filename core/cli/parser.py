@@ -95,6 +95,8 @@ def _add_reconstruct(subparsers: Subparsers) -> None:
     )
     texture = "texture size, texels along a side: 1k, 2k, 4k, 8k or a number (default: by the photographs' pixels on the object)"
     one.add_argument("--texture", type=texels, metavar="SIZE", help=texture)
+    tiles = "N x N UDIM tiles of that size; no chart crosses the border of a tile (default: 1, one square)"
+    one.add_argument("--udim", type=positive, metavar="N", help=tiles)
     one.add_argument("--device", choices=("auto", "cpu", "cuda"), help="device to compute on (default: auto)")
     one.add_argument("--seed", type=int, metavar="N", help="seed of every random number generator (default: 0)")
     budget = "approximate time budget, such as 90s, 5m or 1h: schedules are shortened to fit, or lengthened as far as that helps"
@@ -158,6 +160,8 @@ def _add_bake(subparsers: Subparsers) -> None:
     _run_argument(one)
     size = "texels along a side, such as 4k; textures smaller than the last bake are made from it (default: bake its size again)"
     one.add_argument("--size", type=texels, metavar="N", help=size)
+    tiles = "N x N UDIM tiles of that size, for which the mesh is unwrapped again; 1: one square (default: as in the last bake)"
+    one.add_argument("--udim", type=positive, metavar="N", help=tiles)
     deep = "bits of each value of albedo, roughness, metallic and normal.png; a .glb always has 8 (default: as in the last bake)"
     one.add_argument("--bits", type=int, choices=(8, 16), help=deep)
     one.add_argument("--triangles", type=int, metavar="N", help="make a new mesh of at most N triangles")

@@ -31,5 +31,20 @@ def read_run(path: Path) -> dict[str, Any]:
         raise InputError(file, f"is broken ({error})", "start the run again with --overwrite") from error
 
 
+def udim_tiles(path: Path) -> int:
+    """Return the UDIM tiles along a side of the textures of the run folder `path`; 1 where they are no tiles, or not recorded.
+
+    Raises:
+        InputError: run.json is broken.
+    """
+    file = path / "run.json"
+    if not file.is_file():
+        return 1
+    tiles = (read_run(path).get("textures") or {}).get("tiles", 1)
+    if type(tiles) is not int or tiles < 1:
+        raise InputError(file, f"is broken (textures.tiles is {tiles!r})", "bake the run again")
+    return tiles
+
+
 def _phase(entry: dict[str, Any]) -> dict[str, Any]:
     return {"seconds": float(entry["seconds"]), "peak_memory": int(entry["peak_memory"]), "finished": bool(entry["finished"])}

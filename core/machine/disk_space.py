@@ -13,7 +13,7 @@ MEGABYTE = 1_000_000
 PARAMETERS = 63  # of a Gaussian; Adam stores two moments of each
 COLUMNS = 71  # of gaussians.ply, which holds the normals too
 VERTEX, TRIANGLE = 67, 13  # bytes in mesh.ply
-COPIES = 3  # of mesh and textures: their own files, asset.glb, scene.blend
+COPIES = 3  # of mesh and textures: their own files, asset.glb, scene.blend; one more of textures as UDIM tiles
 TEXEL, DEEP_TEXEL = 8, 16  # bytes of all textures together, uncompressed, of 8 and of 16 bits
 PHOTOGRAPH = 0.6  # bytes per pixel of an undistorted copy
 REST = 8 * MEGABYTE  # contact sheet, previews, light, events
@@ -36,7 +36,8 @@ def estimate_disk_space(settings: Settings, undistorted: int) -> int:
 def texture_disk_space(surface: SurfaceSettings) -> int:
     """Estimate the bytes of a mesh with its textures in all files of a run folder that hold them."""
     texel = TEXEL if surface.texture_bits == 8 else DEEP_TEXEL
-    return COPIES * (surface.triangles * (VERTEX // 2 + TRIANGLE) + surface.texels**2 * texel)
+    images = COPIES + (surface.udim_tiles > 1)
+    return COPIES * surface.triangles * (VERTEX // 2 + TRIANGLE) + images * surface.texels**2 * texel
 
 
 def check_disk_space(run: Path, settings: Settings, undistorted: int) -> None:

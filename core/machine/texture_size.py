@@ -23,7 +23,7 @@ class TextureSize:
     """Texture size with its reason.
 
     Attributes:
-        size: texels along a side.
+        size: texels along a side, of a UDIM tile where there are several.
         why: reason, in one line.
     """
 

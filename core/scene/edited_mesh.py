@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -12,7 +13,9 @@ from plyfile import PlyData, PlyParseError
 from ..errors import InputError
 from .mesh import joined_quads
 from .mesh_ply import QUAD
+from .udim import MOST_TILES, tile_number
 
+SLACK = 1e-4  # by which UVs may lie outside
 UV_NAMES = (("s", "t"), ("u", "v"), ("texture_u", "texture_v"))  # as Blender and others write them
 
 
@@ -23,9 +26,10 @@ class EditedMesh:
     Attributes:
         vertices: (V, 3) float64.
         faces: (F, 3) int64, counter-clockwise seen from outside.
-        uvs: (V, 2) float32 in 0..1, v = 0 at the bottom, or None.
+        uvs: (V, 2) float32 in 0..1 over all tiles, v = 0 at the bottom, or None.
         normals: (V, 3) float64 unit, or None.
         quads: (F,) bool, which triangles make up quads, as in `Mesh.quads`; None without any.
+        tiles: UDIM tiles along a side, which hold the UVs; 1 without UVs.
     """
 
     vertices: np.ndarray
@@ -33,24 +37,29 @@ class EditedMesh:
     uvs: np.ndarray | None
     normals: np.ndarray | None
     quads: np.ndarray | None = None
+    tiles: int = 1
 
 
 def load_edited_mesh(path: Path) -> EditedMesh:
     """Read a PLY; polygons are split into triangles, and vertices with equal position, UV and normal are merged.
 
+    UVs beyond 1 lie in UDIM tiles: u and v up to 2 in 2 x 2 tiles, and so on.
+
     Raises:
-        InputError: if the file is missing or broken, has no faces, or has UVs outside of 0..1.
+        InputError: if the file is missing or broken, has no faces, or has UVs outside of 0..4.
     """
     vertex, polygons, flags = _read(path)
     names = vertex.dtype.names or ()
     position = _columns(vertex, ("x", "y", "z"), path)
     uv_names = next((pair for pair in UV_NAMES if set(pair) <= set(names)), None)
-    parts = [position]
+    parts, tiles = [position], 1
     if uv_names:
         uvs = _columns(vertex, uv_names, path)
-        if uvs.min() < -1e-4 or uvs.max() > 1 + 1e-4:
-            raise InputError(path, "has UVs outside of 0..1", "unwrap it into one square")
-        parts.append(np.clip(uvs, 0, 1))
+        if uvs.min() < -SLACK or uvs.max() > MOST_TILES + SLACK:
+            fix = f"unwrap it into one square, or into UDIM tiles up to {tile_number(MOST_TILES - 1, MOST_TILES - 1)}"
+            raise InputError(path, f"has UVs outside of 0..{MOST_TILES}", fix)
+        tiles = max(1, math.ceil(uvs.max() - SLACK))
+        parts.append(np.clip(uvs / tiles, 0, 1))
     if {"nx", "ny", "nz"} <= set(names):
         parts.append(_columns(vertex, ("nx", "ny", "nz"), path))
     faces, quads = _triangles(polygons, len(vertex), path)
@@ -66,7 +75,7 @@ def load_edited_mesh(path: Path) -> EditedMesh:
     columns = np.split(rows[used], np.cumsum([part.shape[1] for part in parts])[:-1], axis=1)
     normals = _unit(columns[-1]) if len(parts) == 2 + bool(uv_names) else None
     faces = faces.reshape(-1, 3)
-    return EditedMesh(columns[0].astype(np.float64), faces, columns[1] if uv_names else None, normals, joined_quads(faces, quads))
+    return EditedMesh(columns[0].astype(np.float64), faces, columns[1] if uv_names else None, normals, joined_quads(faces, quads), tiles)
 
 
 def _read(path: Path) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:

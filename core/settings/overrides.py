@@ -13,7 +13,7 @@ from typing import Annotated, Any, Literal, Union, get_args, get_origin, get_typ
 
 from ..errors import InputError
 from .renames import current_key, current_names
-from .schema import Range, Settings
+from .schema import MOST_TEXELS, Range, Settings
 
 TRUTH = {"true": True, "yes": True, "on": True, "1": True, "false": False, "no": False, "off": False, "0": False}
 
@@ -52,6 +52,10 @@ def check(settings: Settings) -> Settings:
     if second.brdf != "principled" and second.solver != "joint":
         what = f"{second.brdf} is a BRDF of the joint optimisation alone, and second.solver={second.solver} would ignore it"
         raise InputError("second.brdf", what, "add --set second.solver=joint")
+    surface = settings.surface
+    if surface.texels > MOST_TEXELS:
+        what = f"{surface.udim_tiles} x {surface.udim_tiles} tiles of {surface.tile_texels} texels are more than {MOST_TEXELS} texels along a side"
+        raise InputError("setting surface.udim_tiles", what, "choose fewer tiles, or a smaller texture size")
     return settings
 
 

@@ -17,6 +17,7 @@ class Range(NamedTuple):
     multiple: int = 0
 
 
+MOST_TEXELS = 16384  # along a side of a texture, of all tiles together
 Choice = Literal["auto", "on", "off"]
 Brdf = Literal["principled", "irgs"]  # reflectance model that materials belong to, see `core/shading/brdf.py`
 
@@ -137,15 +138,22 @@ class SurfaceSettings:
     triangles_per_pixel: Annotated[float, Range(0)] = 2.5  # of these, for each pixel of the object by its masks; 0: always `triangles`
     unmasked_triangles: Annotated[int, Range(100, 100_000_000)] = 40_000  # of these, without masks; with 0 per pixel always `triangles`
     # Texels along a side of each texture; None: by the pixels of the full-size photographs that show the object, within the two below.
-    texture: Annotated[int | None, Range(16, 16384)] = None
-    texture_least: Annotated[int, Range(16, 16384)] = 1024  # also where the photographs are no larger than the working resolution
-    texture_most: Annotated[int, Range(16, 16384)] = 4096
+    texture: Annotated[int | None, Range(16, MOST_TEXELS)] = None
+    texture_least: Annotated[int, Range(16, MOST_TEXELS)] = 1024  # also where the photographs are no larger than the working resolution
+    texture_most: Annotated[int, Range(16, MOST_TEXELS)] = 4096
+    # UDIM tiles along a side, of which each texture then has `texture` texels; no chart crosses the border of a tile.
+    udim_tiles: Annotated[int, Range(1, 4)] = 1
     texture_bits: Literal[8, 16] = 8  # of each value of albedo, roughness, metallic and normal
 
     @property
-    def texels(self) -> int:
-        """Texels along a side of each texture; the least number where none is chosen yet."""
+    def tile_texels(self) -> int:
+        """Texels along a side of each tile of a texture; the least number where none is chosen yet."""
         return self.texture_least if self.texture is None else self.texture
+
+    @property
+    def texels(self) -> int:
+        """Texels along a side of each texture, of all tiles together."""
+        return self.udim_tiles * self.tile_texels
 
 
 @dataclass(frozen=True)

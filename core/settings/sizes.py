@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
-from .schema import Choice, FirstStageSettings, Settings, SurfaceSettings
+from .schema import MOST_TEXELS, Choice, FirstStageSettings, Settings, SurfaceSettings
 
 # Unless the settings allow fewer. On smaller objects the time is not in the number of Gaussians, voxels or triangles.
 FEWEST_GAUSSIANS, FEWEST_VOXELS, FEWEST_TRIANGLES = 40_000, 192, 40_000
@@ -72,7 +72,7 @@ def with_texture_size(settings: Settings, size: int) -> Settings:
 
     Args:
         settings: of the job.
-        size: texels along a side.
+        size: texels along a side of a tile.
     """
     return replace(settings, surface=replace(settings.surface, texture=size))
 
@@ -90,15 +90,15 @@ def takes_photograph_detail(choice: Choice, ratio: float, per_pixel: float) -> b
 
 
 def texels_along(surface: SurfaceSettings, pixels: float) -> int:
-    """Return the smallest texture size, a power of two, whose texels are about as fine as the pixels of photographs.
+    """Return the smallest texture size (of a tile), a power of two, whose texels are about as fine as the pixels of photographs.
 
     Args:
         surface: settings; from `texture_least` to `texture_most`.
         pixels: mean number of pixels of a full-size photograph that show the object.
     """
-    needed = math.sqrt(SURFACE_RATIO / ATLAS_FRACTION * pixels)
+    needed = math.sqrt(SURFACE_RATIO / ATLAS_FRACTION * pixels) / surface.udim_tiles
     size = surface.texture_least
-    while size < needed and 2 * size <= surface.texture_most:
+    while size < needed and 2 * size <= min(surface.texture_most, MOST_TEXELS // surface.udim_tiles):
         size *= 2
     return size
 

@@ -51,7 +51,7 @@ def textured_mesh(
     normal_source = normal_source or NormalSource(settings.detail)
     progress.phase("unwrap", 1)
     if unwrapping is None:
-        source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texels)
+        source, faces, uvs = unwrap(Triangles(surface.vertices, surface.faces), settings.texels, settings.udim_tiles)
     else:
         source, faces, uvs = unwrapping.result(lambda: progress.cancelled)
     progress.step(1)

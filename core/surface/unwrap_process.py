@@ -29,16 +29,17 @@ class UnwrapProcess:
 
     Args:
         mesh: mesh to unwrap.
-        texture: texels along a side.
+        texture: texels along a side, of all tiles together.
         folder: folder of the files of this process and the child, created here and removed by `close`.
+        tiles: UDIM tiles along a side.
     """
 
-    def __init__(self, mesh: Triangles | Surface, texture: int, folder: Path) -> None:
+    def __init__(self, mesh: Triangles | Surface, texture: int, folder: Path, tiles: int = 1) -> None:
         self._folder = folder
         folder.mkdir(parents=True, exist_ok=True)  # a killed job may have left it
         np.savez(folder / MESH, vertices=mesh.vertices, faces=mesh.faces)
         self._errors = (folder / "errors.txt").open("w+", encoding="utf-8", errors="replace")
-        command = [sys.executable, str(LAUNCHER), "core.surface.unwrap_process", str(folder), str(texture)]
+        command = [sys.executable, str(LAUNCHER), "core.surface.unwrap_process", str(folder), str(texture), str(tiles)]
         # Its stdin ends with this process, however this ends.
         self._child = subprocess.Popen(
             command, stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=self._errors, env={**os.environ, PARENT_WATCH: "1"}
@@ -79,19 +80,20 @@ class UnwrapProcess:
         shutil.rmtree(self._folder, ignore_errors=True)
 
 
-def main(folder: Path, texture: int) -> None:
+def main(folder: Path, texture: int, tiles: int) -> None:
     """Unwrap the mesh in a folder and write the result there.
 
     Args:
         folder: holds the mesh's vertices and faces.
-        texture: texels along a side.
+        texture: texels along a side, of all tiles together.
+        tiles: UDIM tiles along a side.
     """
     if hasattr(os, "nice"):
         os.nice(NICE)
     vertices, faces = read_arrays(folder / MESH, "vertices", "faces")
-    source, faces, uvs = unwrap(Triangles(vertices, faces), texture)
+    source, faces, uvs = unwrap(Triangles(vertices, faces), texture, tiles)
     np.savez(folder / ATLAS, source=source, faces=faces, uvs=uvs)
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]), int(sys.argv[2]))
+    main(Path(sys.argv[1]), int(sys.argv[2]), int(sys.argv[3]))

@@ -14,6 +14,7 @@ import numpy as np
 
 from ...core.errors import InputError
 from ...core.io.srgb import straight_srgb
+from .texture_images import has_file
 
 CATALOGUES = "blender_assets.cats.txt"  # Blender's file of catalogues, in the folder of a library
 HEADER = "# This is an Asset Catalog Definition file for Blender.\n\nVERSION 1\n\n"
@@ -148,4 +149,4 @@ def missing_images(thing: bpy.types.Object) -> list[str]:
     """Return the names of images in an object's materials that are neither packed nor in a file, so that others would not find them."""
     trees = [slot.material.node_tree for slot in thing.material_slots if slot.material is not None and slot.material.node_tree is not None]
     images = {node.image for tree in trees for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image is not None}
-    return sorted(image.name for image in images if image.packed_file is None and not Path(bpy.path.abspath(image.filepath)).is_file())
+    return sorted(image.name for image in images if image.packed_file is None and not has_file(Path(bpy.path.abspath(image.filepath))))

@@ -20,9 +20,11 @@ from ..properties import set_quietly
 from .mask_image import MASK
 from .ownership import KEY, rename_owner
 from .run_root import DATASET, RUN
+from .texture_images import has_file
 
 IDENTITY = "irgspp_run_identity"  # custom property of a run's empty: hash of files that no later step changes
 IDENTIFYING = ("reconstruction.json", "environment.exr")
+LINKED = ("FILE", "TILED")  # sources of images whose paths name files
 
 
 def note_place(file: str) -> None:
@@ -90,9 +92,9 @@ def _correct_images(before: Path, now: Path) -> None:
             continue
         if MASK in image:
             image[MASK] = str(moved(Path(image[MASK]), before, now))
-        if image.source == "FILE" and image.filepath.startswith("//"):
+        if image.source in LINKED and image.filepath.startswith("//"):
             _follow_file(image, before)
-        elif image.source == "FILE" and image.filepath:
+        elif image.source in LINKED and image.filepath:
             place = str(moved(Path(image.filepath), before, now))
             if place == image.filepath:
                 continue
@@ -105,7 +107,7 @@ def _correct_images(before: Path, now: Path) -> None:
 def _follow_file(image: bpy.types.Image, before: Path) -> None:
     """Correct the relative path of an image that stayed where it was, while the .blend file was moved alone."""
     file = before / image.filepath[2:]
-    if not Path(bpy.path.abspath(image.filepath)).exists() and file.exists():
+    if not has_file(Path(bpy.path.abspath(image.filepath))) and has_file(file):
         image.filepath_raw = path_in_file(file)
         if image.packed_file is None:
             image.reload()

@@ -36,31 +36,33 @@ def read_mesh(path: Path) -> dict[str, np.ndarray]:
     return elements
 
 
-def textured_mesh(path: Path, name: str, matrix: np.ndarray) -> bpy.types.Mesh:
+def textured_mesh(path: Path, name: str, matrix: np.ndarray, tiles: int = 1) -> bpy.types.Mesh:
     """Build the mesh of a run with its UVs and normals, without the materials at its vertices.
 
     Args:
         path: mesh.ply of the run.
         name: of the mesh.
         matrix: (4, 4) that the vertices are multiplied by.
+        tiles: UDIM tiles along a side, up to which the UVs reach.
 
     Raises:
         InputError: if the file is missing or no mesh of a run.
     """
-    mesh = built_mesh(read_mesh(path), name, matrix)
+    mesh = built_mesh(read_mesh(path), name, matrix, tiles)
     for name in ("albedo", "roughness", "metallic", COVERAGE, ATTRIBUTE):
         if name in mesh.attributes:
             mesh.attributes.remove(mesh.attributes[name])
     return mesh
 
 
-def built_mesh(elements: dict[str, np.ndarray], name: str, matrix: np.ndarray) -> bpy.types.Mesh:
+def built_mesh(elements: dict[str, np.ndarray], name: str, matrix: np.ndarray, tiles: int = 1) -> bpy.types.Mesh:
     """Build the mesh with welded UV seams, a connected surface for sculpting and smoothing: Blender stores UVs per corner.
 
     Args:
         elements: of mesh.ply.
         name: of the mesh.
         matrix: (4, 4) that the vertices are multiplied by.
+        tiles: UDIM tiles along a side, up to which the UVs reach.
     """
     vertex, face = elements["vertex"], elements["face"]
     corners, sizes = _polygons(face)
@@ -68,7 +70,7 @@ def built_mesh(elements: dict[str, np.ndarray], name: str, matrix: np.ndarray) -
     mesh = bpy.data.meshes.new(name)
     set_polygons(mesh, moved_points(positions, matrix), welded.reshape(-1)[corners], sizes)
     uv = mesh.uv_layers.new(name="UVMap")
-    uv.data.foreach_set("uv", columns(vertex, "s", "t")[corners].reshape(-1))
+    uv.data.foreach_set("uv", (tiles * columns(vertex, "s", "t")[corners]).reshape(-1))
     _set_attributes(mesh, vertex[first])
     mesh.shade_smooth()
     mesh.update()

@@ -12,9 +12,11 @@ import numpy as np
 from mathutils import Matrix
 
 from ...core.errors import InputError
+from ...core.io.run_json import udim_tiles
 from ...core.scene.camera_files import load_run_cameras
 from ...core.scene.mesh import foot
-from ..world.light_to_world import load_image, world_from_map
+from ...core.scene.udim import FOLDER
+from ..world.light_to_world import world_from_map
 from .cameras import look_through, place_cameras
 from .confidence_view import ATTRIBUTE, add_confidence_nodes
 from .displacement import Heights
@@ -25,6 +27,7 @@ from .placement import Placement
 from .run_frame import ALBEDO_SCALE
 from .run_mesh import built_mesh, columns, read_mesh
 from .run_root import placed_root
+from .texture_images import load_texture, texture_files
 
 
 @dataclass(frozen=True)
@@ -65,8 +68,8 @@ def import_run(
     Raises:
         InputError: if the folder is not a finished run, or the imported mesh is in Edit Mode; then no datablock has been created.
     """
-    cameras, elements = load_run_cameras(run / "cameras.json"), read_mesh(run / "mesh.ply")
-    _check_files(run, source)
+    cameras, elements, tiles = load_run_cameras(run / "cameras.json"), read_mesh(run / "mesh.ply"), udim_tiles(run)
+    _check_files(run, source, tiles)
     to_world, centre = _frame(run)
     owner = Owner(run)
     existing = owner.find(bpy.data.objects, "mesh")
@@ -76,12 +79,12 @@ def import_run(
     name = owner.folder.name
     collection, root = placed_root(owner, scene, to_world, centre, placement)
     before, origin = mesh_to_run(existing) if existing is not None else Matrix(), foot(columns(elements["vertex"], "x", "y", "z"))
-    data = owner.replace(bpy.data.meshes, "mesh data", built_mesh(elements, name, np.array(Matrix.Translation(-origin))))
+    data = owner.replace(bpy.data.meshes, "mesh data", built_mesh(elements, name, np.array(Matrix.Translation(-origin)), tiles))
     mesh = owner.object("mesh", name, data, root)
     set_origin(mesh, before, origin)
     put(mesh, collection)
     _add_albedo_scale(mesh)
-    material = _material(owner, name, run, source, pack)
+    material = _material(owner, name, run, source, pack, tiles)
     if ATTRIBUTE in mesh.data.attributes:
         add_confidence_nodes(material)
     mesh.data.materials.append(material)
@@ -91,14 +94,20 @@ def import_run(
     return Imported(collection, root, mesh, placed, world)
 
 
-def _check_files(run: Path, source: str) -> None:
+def _check_files(run: Path, source: str, tiles: int) -> None:
     """Check the files that are read only after the first datablock has been created."""
     if source not in SOURCES:
         raise InputError(source, "is not a material source", "use textures or attributes")
-    for needed in ["environment.exr", *(f"textures/{name}.png" for name in TEXTURES if source == "textures")]:
-        if not (run / needed).is_file():
+    textures = [file for name in TEXTURES for file in texture_files(_folder(run, tiles), name, tiles)] if source == "textures" else []
+    for needed in [run / "environment.exr", *textures]:
+        if not needed.is_file():
             fix = "finish the run" if source == "attributes" else "finish the run, or let the material read attributes"
-            raise InputError(run / needed, "is missing", fix)
+            raise InputError(needed, "is missing", fix)
+
+
+def _folder(run: Path, tiles: int) -> Path:
+    """Return the folder of the textures that the material reads."""
+    return run / "textures" / FOLDER if tiles > 1 else run / "textures"
 
 
 def _add_albedo_scale(mesh: bpy.types.Object) -> None:
@@ -124,19 +133,19 @@ def show_as_photographed(scene: bpy.types.Scene, imported: Imported) -> None:
         look_through(scene, imported.cameras[0])
 
 
-def _material(owner: Owner, name: str, run: Path, source: str, pack: bool) -> bpy.types.Material:
+def _material(owner: Owner, name: str, run: Path, source: str, pack: bool, tiles: int) -> bpy.types.Material:
     """Create the material, which can read textures (if there are any) and attributes."""
-    images, textures = {}, run / "textures"
-    if all((textures / f"{texture}.png").is_file() for texture in TEXTURES):
+    images, textures = {}, _folder(run, tiles)
+    if all(file.is_file() for texture in TEXTURES for file in texture_files(textures, texture, tiles)):
         for texture in TEXTURES:
-            image = load_image(textures / f"{texture}.png", "sRGB" if texture == "albedo" else "Non-Color", pack)
+            image = load_texture(textures, texture, pack, tiles)
             images[texture] = owner.replace(bpy.data.images, f"{texture} texture", image)
     material = owner.reuse(bpy.data.materials, "material", name)
-    build_material(material, images, source, _heights(owner, run, pack) if images else None)
+    build_material(material, images, source, _heights(owner, run, pack, tiles) if images else None)
     return material
 
 
-def _heights(owner: Owner, run: Path, pack: bool) -> Heights | None:
+def _heights(owner: Owner, run: Path, pack: bool, tiles: int) -> Heights | None:
     """Load the height texture with its scale in run.json; None where the run has none."""
     path = run / "textures" / "height.png"
     if not path.is_file():
@@ -149,7 +158,7 @@ def _heights(owner: Owner, run: Path, pack: bool) -> Heights | None:
         raise InputError(state, f"can't be read ({error.strerror})", "restore it, or remove textures/height.png") from error
     except (ValueError, KeyError, TypeError) as error:
         raise InputError(state, f"lacks the scale of textures/height.png ({error!r})", "bake the run again") from error
-    image = owner.replace(bpy.data.images, "height texture", load_image(path, "Non-Color", pack))
+    image = owner.replace(bpy.data.images, "height texture", load_texture(_folder(run, tiles), "height", pack, tiles))
     return Heights(image, scale, midlevel)
 
 

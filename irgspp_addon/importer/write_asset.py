@@ -2,9 +2,8 @@
 """Write a run's object in formats of other programs, in a separate process with `bpy`: `launch.py ... JOB.json OUT.fbx OUT.usdc`.
 
 JOB.json holds "run" (folder), "name" of the asset, "textures" (folder of albedo, roughness, metallic, normal and orm.png), "pack" (True to
-put them into the file), "lods" (fraction of the triangles in each further level), "hulls" (.npz, or null) "occlusion" (True
-where red of orm.png is to be read) and "matrix" (4 x 4, that
-the vertices are multiplied by).
+put them into the file), "tiles" (UDIM tiles along a side of the textures), "lods" (fraction of the triangles in each further level), "hulls"
+(.npz, or null), "occlusion" (True where red of orm.png is to be read) and "matrix" (4 x 4, that the vertices are multiplied by).
 """
 
 from __future__ import annotations
@@ -21,11 +20,11 @@ import numpy as np
 
 from ...core.errors import InputError, IrgsppError
 from ..exit_status import exit_status
-from ..world.light_to_world import load_image
 from ..world.shader_nodes import node_tree
 from .asset_parts import add_hulls, add_levels
 from .materials import TEXTURES
 from .run_mesh import textured_mesh
+from .texture_images import load_texture
 
 AXES = {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}  # of OBJ
 
@@ -42,7 +41,7 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
     """
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     name, textures = job["name"], Path(job["textures"])
-    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["matrix"]))
+    mesh = textured_mesh(Path(job["run"]) / "mesh.ply", name, np.array(job["matrix"]), job["tiles"])
     material = bpy.data.materials.new(name)
     mesh.materials.append(material)
     full = bpy.data.objects.new(name, mesh)
@@ -55,11 +54,11 @@ def write_asset(job: dict[str, Any], targets: list[Path]) -> None:
         write = WRITERS.get(target.suffix.lower())
         if write is None:
             raise InputError(target, "has no known suffix", f"use {', '.join(WRITERS)}")
-        _build_material(material, textures, target.suffix.lower() == ".glb", bool(job["occlusion"]))
+        _build_material(material, textures, job["tiles"], target.suffix.lower() == ".glb", bool(job["occlusion"]))
         write(target, bool(job["pack"]))
 
 
-def _build_material(material: bpy.types.Material, textures: Path, packed_channels: bool, occlusion: bool) -> None:
+def _build_material(material: bpy.types.Material, textures: Path, tiles: int, packed_channels: bool, occlusion: bool) -> None:
     """Link the textures to a Principled BSDF: roughness and metallic as images of their own, or as channels of orm.png (glTF)."""
     nodes, links = node_tree(material)
     principled, output = nodes.new("ShaderNodeBsdfPrincipled"), nodes.new("ShaderNodeOutputMaterial")
@@ -67,10 +66,7 @@ def _build_material(material: bpy.types.Material, textures: Path, packed_channel
     names = ("albedo", "orm", "normal") if packed_channels else TEXTURES
     images = {name: nodes.new("ShaderNodeTexImage") for name in names}
     for name, node in images.items():
-        path = textures / f"{name}.png"
-        if not path.is_file():
-            raise InputError(path, "is missing", "bake the run again")
-        node.image = load_image(path, "sRGB" if name == "albedo" else "Non-Color", False)
+        node.image = load_texture(textures, name, False, tiles)
         node.image.name = name
     links.new(images["albedo"].outputs["Color"], principled.inputs["Base Color"])
     if packed_channels:

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 import os
 import sys
 from dataclasses import dataclass
@@ -24,6 +25,7 @@ from .arrangement import show_cameras
 from .asset_parts import add_hulls, add_levels
 from .materials import SOURCES
 from .mesh_origin import mesh_to_run
+from .texture_images import texture_path
 from .scene_builder import Imported, import_run, show_as_photographed, turn_light
 
 VIEW_DISTANCE = 1.6  # of 3D Views from the object, as a multiple of its diagonal
@@ -126,7 +128,8 @@ def _link_textures(full: bpy.types.Object, folder: Path) -> None:
         if node.bl_idname == "ShaderNodeTexImage" and node.image is not None:
             if node.image.packed_file is not None:
                 node.image.unpack(method="REMOVE")
-            node.image.filepath = f"//{folder.name}/{node.label}.png"
+            tiles = math.isqrt(len(node.image.tiles)) if node.image.source == "TILED" else 1
+            node.image.filepath = f"//{folder.name}/{texture_path(folder, node.label, tiles).name}"
 
 
 def _relative(path: str, folder: Path) -> str:

@@ -17,11 +17,11 @@ from irgspp.core.surface.unwrap import unwrap
 class _Unwrapping:
     """Stand-in of `UnwrapProcess` with the same result."""
 
-    def __init__(self, mesh: Triangles | Surface, texture: int, folder: Path) -> None:
-        self._mesh, self._texture = Triangles(mesh.vertices, mesh.faces), texture
+    def __init__(self, mesh: Triangles | Surface, texture: int, folder: Path, tiles: int) -> None:
+        self._mesh, self._texture, self._tiles = Triangles(mesh.vertices, mesh.faces), texture, tiles
 
     def result(self, cancelled: Callable[[], bool]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        return unwrap(self._mesh, self._texture)
+        return unwrap(self._mesh, self._texture, self._tiles)
 
     def close(self) -> None:
         pass

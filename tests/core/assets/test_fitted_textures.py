@@ -23,11 +23,11 @@ def mesh() -> Mesh:
 def test_textures_without_detail_are_reduced(mesh: Mesh) -> None:
     fitted, state = fitted_textures(mesh, DetailReport(False, "photographs disagree"), 16, "many pixels")
     assert {name: texture.shape for name, texture in fitted.textures.items()} == {"albedo": (16, 16, 3), "roughness": (16, 16)}
-    assert state == {"size": 16, "baked": 16, "texel": 0.375, "why": "no detail of the photographs: photographs disagree"}
+    assert state == {"tiles": 1, "size": 16, "baked": 16, "texel": 0.375, "why": "no detail of the photographs: photographs disagree"}
     assert texture_line(state).startswith("textures of 16 texels, 0.375 world units each: no detail")
 
 
 @pytest.mark.parametrize(("applied", "plain"), [(True, 16), (False, 64)])
 def test_others_stay(mesh: Mesh, applied: bool, plain: int) -> None:
     fitted, state = fitted_textures(mesh, DetailReport(applied, "a reason"), plain, "many pixels")
-    assert fitted is mesh and state == {"size": 64, "baked": 64, "texel": 0.09375, "why": "many pixels"}
+    assert fitted is mesh and state == {"tiles": 1, "size": 64, "baked": 64, "texel": 0.09375, "why": "many pixels"}
