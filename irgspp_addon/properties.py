@@ -126,6 +126,7 @@ class IRGSPP_SceneSettings(bpy.types.PropertyGroup):
     )
     texture_size: EnumProperty(**shared.TEXTURE_SIZE)
     texture_bits: EnumProperty(**shared.TEXTURE_BITS)
+    udim_tiles: IntProperty(**shared.UDIM)
     triangles: IntProperty(**shared.TRIANGLES, max=100_000_000, soft_max=200_000)
     bake_quads: IntProperty(**shared.QUADS, max=10_000_000, soft_max=50_000)
     bake_height: BoolProperty(**shared.HEIGHT)

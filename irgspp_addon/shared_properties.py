@@ -49,6 +49,7 @@ TEXTURE_PLACES = [
     ("auto", "Automatic", "Inside the file where its format can, otherwise beside it"),
     ("packed", "Inside", "Inside the file"),
     ("beside", "Beside", "In a folder beside the file, which is found when both are moved together"),
+    ("tiles", "UDIM Tiles", "As UDIM tiles in a folder beside the file. Bake them first; not every program finds them by itself"),
 ]
 TEXTURE_SIZES = [
     ("1024", "1k", "Textures of 1024 x 1024 texels"),
@@ -102,6 +103,14 @@ TEXTURE_BITS: Definition = {
     "description": "Bits of each value of albedo, roughness, metallic and normal textures. A .glb always has 8",
     "items": BITS,
     "default": "0",
+}
+UDIM: Definition = {
+    "name": "UDIM Tiles",
+    "description": "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the mesh is unwrapped again. "
+    "1: one image; 0: as in the last bake, or by the edited mesh's UVs",
+    "default": 0,
+    "min": 0,
+    "max": 4,
 }
 TRIANGLES: Definition = {
     "name": "Max Triangles",

@@ -36,9 +36,10 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
 
     run: StringProperty(**RUN)
     size: IntProperty(
-        name="Texture Size", description="Width and height of the textures in texels; 0: as in the last bake", default=0, min=0, max=16384
+        name="Texture Size", description="Width and height of the textures, or of each UDIM tile, in texels; 0: as in the last bake", default=0, min=0, max=16384
     )
     bits: EnumProperty(**shared.TEXTURE_BITS)
+    udim: IntProperty(**shared.UDIM)
     triangles: IntProperty(**shared.TRIANGLES)
     mesh: StringProperty(
         name="Edited Mesh",
@@ -66,6 +67,7 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
         words = ["bake", str(run)]
         words += ["--size", str(self.size)] if self.size else []
         words += ["--bits", self.bits] if self.bits != "0" else []
+        words += ["--udim", str(self.udim)] if self.udim else []
         words += ["--triangles", str(self.triangles)] if self.triangles else []
         words += ["--quads", str(self.quads)] if self.quads else []
         words += ["--height"] if self.height else []

@@ -37,7 +37,10 @@ def faces_text(mesh: bpy.types.Mesh) -> str:
 
 
 def texture_text(thing: bpy.types.Object) -> str:
-    """Return the size of the material's textures, such as "textures 1024"."""
+    """Return the size of the material's textures, such as "textures 1024", or "textures 4 x 1024" where they have four UDIM tiles."""
     tree = thing.active_material.node_tree if thing.active_material else None
     images = [node.image for node in tree.nodes if node.bl_idname == "ShaderNodeTexImage" and node.image] if tree else []
-    return translated("textures {size}", size=images[0].size[0]) if images else translated("no textures")
+    if not images:
+        return translated("no textures")
+    size, tiles = images[0].size[0], len(images[0].tiles) if images[0].source == "TILED" else 1
+    return translated("textures {size}", size=size if tiles == 1 else f"{tiles} x {size}")

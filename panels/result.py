@@ -67,6 +67,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
         column = settings_column(self.layout)
         for name in ("texture_size", "texture_bits"):
             column.row().prop(settings, name, expand=True)
+        column.prop(settings, "udim_tiles")
         quads = 0 if edited else settings.bake_quads  # an edited mesh is baked as it is
         triangles = 0 if edited or quads else settings.triangles
         for name, enabled in (("triangles", edited is None and not quads), ("bake_quads", edited is None)):
@@ -84,6 +85,7 @@ class IRGSPP_PT_bake(FinishedRunPanel, SidebarPanel, bpy.types.Panel):
             run=str(shown_run(context)),
             size=int(settings.texture_size),
             bits=settings.texture_bits,
+            udim=settings.udim_tiles,
             triangles=triangles,
             quads=quads,
             mesh=edited.name if edited else "",

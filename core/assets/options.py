@@ -13,6 +13,7 @@ ASSETS = (".glb", ".usd", ".usdc", ".usda", ".usdz", ".obj", ".fbx")  # the obje
 PARTS = (".ply", ".exr")  # splats and light
 SUFFIXES = (*ASSETS, ".blend", *PARTS)
 BESIDE = (".usd", ".usdc", ".usda", ".obj")  # whose files hold no textures
+APART = ("beside", "tiles")  # choices of textures in files of their own
 INSIDE = (".glb", ".usdz")  # whose files hold their textures always
 SIMILAR = (".blend", ".ply")  # whose cameras and splats can't be stretched
 UNTURNED = (1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0)
@@ -28,7 +29,8 @@ class AssetOptions:
     Attributes:
         lods: True to add NAME_LOD1 and NAME_LOD2 with a half and a quarter of the triangles, which share the textures.
         collision: True to add convex hulls UCX_NAME_00 and so on; UCX_NAME_LOD0_00 with levels of detail.
-        textures: "packed" into the file, "beside" it in the folder NAME_textures, or "auto": packed where the format can.
+        textures: "packed" into the file, "beside" it in the folder NAME_textures, "tiles": beside it as UDIM tiles, or "auto": packed where
+            the format can. A .blend has the run's tiles always, other files with "tiles" alone: no other format reads them everywhere.
         normal_map: "opengl" or "directx".
         transform: rows of the matrix (3, 3) that turns and scales the object before it is put on its foot.
         occlusion: True to trace ambient occlusion, into red of orm.png beside the file, or the occlusion texture of a .glb.
@@ -45,7 +47,7 @@ class AssetOptions:
         """Return the choices with the defaults in place of those that files with this suffix can't have."""
         if suffix in PARTS:
             return AssetOptions(transform=self.transform if suffix == ".ply" else UNTURNED)
-        unfit = (BESIDE, "packed"), (INSIDE, "beside")
+        unfit = (BESIDE, "packed"), (INSIDE, "beside"), (INSIDE, "tiles")
         textures = "auto" if any(suffix in formats and self.textures == choice for formats, choice in unfit) else self.textures
         normal_map = "opengl" if suffix in OPENGL_ONLY else self.normal_map
         return replace(self, textures=textures, normal_map=normal_map, occlusion=self.occlusion and _holds_occlusion(suffix, textures))
@@ -72,22 +74,29 @@ class AssetOptions:
         """
         if self.textures == "packed" and suffix in BESIDE:
             raise InputError("--textures", f"{suffix} holds no textures", "use beside, or a .glb, .usdz, .fbx or .blend")
-        if self.textures == "beside" and suffix in INSIDE:
+        if self.textures in APART and suffix in INSIDE:
             raise InputError("--textures", f"{suffix} always holds its textures", "use packed, or a .usdc, .fbx, .obj or .blend")
         if self.normal_map == "directx" and suffix in OPENGL_ONLY:
             raise InputError("--normal-map", f"the normal maps of {suffix} are OpenGL's by definition", "use opengl, or a .fbx or .obj")
         if self.occlusion and not _holds_occlusion(suffix, self.textures):
             raise InputError("--occlusion", f"{suffix} has no place for it", "use --textures beside, or a .glb")
-        return suffix not in BESIDE and self.textures != "beside"
+        return suffix not in BESIDE and self.textures not in APART
 
     def tiles(self, suffix: str, tiles: int) -> int:
-        """Return the UDIM tiles along a side of the textures in a file with this suffix, of a run with `tiles` of them.
+        """Return the UDIM tiles along a side that a file with this suffix has.
 
-        A .blend and textures beside a file are tiled; glTF, USDZ and FBX with textures inside have none, and get one image.
+        Args:
+            suffix: of the file.
+            tiles: of the run, along a side.
+
+        Raises:
+            InputError: if tiles are asked for and the run has none.
         """
-        return tiles if suffix == ".blend" or not self.packs(suffix) else 1
+        if self.textures == "tiles" and tiles == 1:
+            raise InputError("--textures", "the run has no UDIM tiles", "bake them first: irgspp bake RUN --udim 2, or UDIM Tiles under Bake Again")
+        return tiles if suffix == ".blend" or self.textures == "tiles" else 1
 
 
 def _holds_occlusion(suffix: str, textures: str) -> bool:
     """Return True where a file has an occlusion texture, or a folder of textures beside it that can have one."""
-    return suffix == ".glb" or suffix in BESIDE or (suffix not in INSIDE and textures == "beside")
+    return suffix == ".glb" or suffix in BESIDE or (suffix not in INSIDE and textures in APART)

@@ -45,12 +45,13 @@ def export_asset(run: Path, target: Path, options: AssetOptions, progress: Progr
     """
     suffix, mesh = target.suffix.lower(), load_mesh_ply(run / "mesh.ply")
     packed, matrix = options.packs(suffix), standing(mesh.vertices, options.matrix(suffix))
+    tiles = options.tiles(suffix, udim_tiles(run))
     if suffix == ".glb" and not (options.lods or options.collision):
         save_production_glb(placed_mesh(mesh, matrix), run, target, options.occlusion)
         return
     with staged(target) as staging, tempfile.TemporaryDirectory() as scratch:
         textures = Path(scratch) / "textures" if packed else staging / f"{target.stem}_textures"
-        tiles, occluded = options.tiles(suffix, udim_tiles(run)), mesh if options.occlusion else None
+        occluded = mesh if options.occlusion else None
         save_texture_set(run, textures, options.normal_map, suffix == ".glb", occluded, tiles)
         job = {"textures": str(textures), "tiles": tiles, "matrix": matrix.tolist(), "pack": packed, "occlusion": options.occlusion}
         job |= asset_job(run, target.stem, options, Path(scratch), progress)
@@ -77,7 +78,7 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         NoBlender: when no Blender is found.
         IrgsppError: when Blender fails.
     """
-    packed = options.packs(".blend")
+    packed, tiles = options.packs(".blend"), options.tiles(".blend", udim_tiles(run))
     with tempfile.TemporaryDirectory() as scratch, staged(target) as staging:
         job = asset_job(run, run.resolve().name, options, Path(scratch), progress)
         (Path(scratch) / "job.json").write_text(json.dumps(job), encoding="utf-8")
@@ -85,7 +86,7 @@ def export_blend(run: Path, target: Path, material: str, options: AssetOptions, 
         additions += ["--transform=" + ",".join(f"{value:.9g}" for value in options.matrix(".blend").reshape(-1))]
         if not packed:
             folder = staging / f"{target.stem}_textures"
-            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None, tiles=udim_tiles(run))
+            save_texture_set(run, folder, occluded=load_mesh_ply(run / "mesh.ply") if options.occlusion else None, tiles=tiles)
             additions += ["--textures", str(folder)]
         progress.phase("write", 0)
         write_blend(run, staging / target.name, material, progress, additions, target)

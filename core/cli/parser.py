@@ -144,8 +144,8 @@ def _add_export(subparsers: Subparsers) -> None:
     one.add_argument("--material", choices=("textures", "attributes"), help="source of the material's values in a .blend")
     one.add_argument("--lods", action="store_true", help="add levels of detail NAME_LOD1 and NAME_LOD2 that share the textures")
     one.add_argument("--collision", action="store_true", help="add convex hulls UCX_NAME_00 or UCX_NAME_LOD0_00 and so on for game engines")
-    where = "textures inside the file, or beside it in NAME_textures (default: inside where the format can)"
-    one.add_argument("--textures", choices=("auto", "packed", "beside"), default="auto", help=where)
+    where = "textures inside the file, beside it in NAME_textures, or beside it as UDIM tiles (default: inside where the format can)"
+    one.add_argument("--textures", choices=("auto", "packed", "beside", "tiles"), default="auto", help=where)
     green = "direction of green in the normal map of .fbx and .obj (default: opengl; directx is the inverse)"
     one.add_argument("--normal-map", choices=("opengl", "directx"), default="opengl", help=green)
     occlusion = "trace ambient occlusion (seconds): red of orm.png, occlusion.png, and the occlusion texture of .glb"

@@ -3,11 +3,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 import bpy
 
-from ...core.errors import InputError
+from ...core.errors import InputError, IrgsppError
 from ...core.scene.udim import ALL_TILES, tile_number, tile_numbers
 from ..image_path import path_in_file
 from ..world.light_to_world import load_image
@@ -40,6 +42,29 @@ def texture_files(folder: Path, name: str, tiles: int = 1) -> list[Path]:
 def has_file(path: Path) -> bool:
     """Return True where the file of an image exists, or that of its first UDIM tile."""
     return path.with_name(path.name.replace(ALL_TILES, str(tile_number(0, 0)))).is_file()
+
+
+@contextmanager
+def existing_paths(images: Iterable[bpy.types.Image]) -> Iterator[None]:
+    """Let a file exist at the path NAME.<UDIM>.png of each tiled image meanwhile: Blender writes only paths of files as relative ones to USD.
+
+    Args:
+        images: of any source; others than tiled ones are left out.
+
+    Raises:
+        IrgsppError: if the system has no such names, as Windows.
+    """
+    paths = [Path(bpy.path.abspath(image.filepath)) for image in images if image.source == "TILED"]
+    try:
+        for path in paths:
+            path.touch()
+        yield
+    except OSError as error:
+        raise IrgsppError(f"{paths[0]}: this system allows no such file name, which Blender needs to write UDIM tiles to USD") from error
+    finally:
+        for path in paths:
+            with suppress(OSError):
+                path.unlink()
 
 
 def load_texture(folder: Path, name: str, pack: bool, tiles: int = 1) -> bpy.types.Image:

@@ -24,7 +24,7 @@ from ..world.shader_nodes import node_tree
 from .asset_parts import add_hulls, add_levels
 from .materials import TEXTURES
 from .run_mesh import textured_mesh
-from .texture_images import load_texture
+from .texture_images import existing_paths, load_texture
 
 AXES = {"forward_axis": "NEGATIVE_Z", "up_axis": "Y"}  # of OBJ
 
@@ -113,7 +113,8 @@ def _write_usd(target: Path, pack: bool) -> None:
     # 4.2 and 4.3 name the choice otherwise.
     textures = {"export_textures_mode": "NEW" if pack else "KEEP", "export_textures": pack, "relative_paths": True}
     root = "/" + re.sub(r"\W", "_", f"_{target.stem}" if target.stem[:1].isdigit() else target.stem)
-    _call(bpy.ops.wm.usd_export, target, root_prim_path=root, generate_preview_surface=True, **axes, **left_out, **textures)
+    with existing_paths(bpy.data.images):
+        _call(bpy.ops.wm.usd_export, target, root_prim_path=root, generate_preview_surface=True, **axes, **left_out, **textures)
 
 
 WRITERS = {

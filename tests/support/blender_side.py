@@ -52,9 +52,9 @@ def in_engine(script: Path, *arguments: object) -> str:
     return done.stdout
 
 
-def write_sphere_run(folder: Path, texture_size: int = 128, confidence: bool = False) -> Path:
+def write_sphere_run(folder: Path, texture_size: int = 128, confidence: bool = False, tiles: int = 1) -> Path:
     """Write the run of `sphere_run` into a folder, and its photographs next to it."""
-    in_engine(Path(__file__).with_name("sphere_run.py"), folder, texture_size, int(confidence))
+    in_engine(Path(__file__).with_name("sphere_run.py"), folder, texture_size, int(confidence), tiles)
     return folder
 
 

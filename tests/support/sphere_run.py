@@ -36,9 +36,12 @@ def textures(size: int = 128) -> dict[str, np.ndarray]:
     v, u = np.meshgrid(1 - (np.arange(size) + 0.5) / size, (np.arange(size) + 0.5) / size, indexing="ij")
     theta, phi = (1 - v) * np.pi, u * 2 * np.pi
     albedo, roughness, metallic = materials(np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1))
-    encoded = np.where(albedo <= 0.0031308, 12.92 * albedo, 1.055 * albedo ** (1 / 2.4) - 0.055)
     flat = np.broadcast_to(np.array([128, 128, 255], np.uint8), (size, size, 3)).copy()
-    return {"albedo": _bytes(encoded), "roughness": _bytes(roughness), "metallic": _bytes(metallic), "normal": flat}
+    return {"albedo": _bytes(_encoded(albedo)), "roughness": _bytes(roughness), "metallic": _bytes(metallic), "normal": flat}
+
+
+def _encoded(albedo: np.ndarray) -> np.ndarray:
+    return np.where(albedo <= 0.0031308, 12.92 * albedo, 1.055 * albedo ** (1 / 2.4) - 0.055)
 
 
 def _bytes(values: np.ndarray) -> np.ndarray:
@@ -67,17 +70,34 @@ def cameras() -> list[Camera]:
     return placed
 
 
-def write_run(folder: Path, size: int = 128, confidence: int = 0) -> None:
+def in_tiles(size: int, tiles: int) -> Mesh:
+    """Return the sphere with its charts and textures (size, size) in tiles x tiles UDIM tiles."""
+    from dataclasses import replace
+
+    from irgspp.core.surface.mesh_texels import mesh_texels
+    from irgspp.core.surface.unwrap import unwrapped_again
+
+    mesh = unwrapped_again(sphere(size=size), size, tiles)
+    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, size)
+    place = texels.interpolated(mesh.vertices, mesh.faces)
+    albedo, roughness, metallic = materials(place / np.linalg.norm(place, axis=-1, keepdims=True))
+    images = {"albedo": _bytes(_encoded(albedo)), "roughness": _bytes(roughness), "metallic": _bytes(metallic)}
+    return replace(mesh, textures={name: texels.image(values) for name, values in images.items()} | {"normal": textures(size)["normal"]})
+
+
+def write_run(folder: Path, size: int = 128, confidence: int = 0, tiles: int = 1) -> None:
     """Write mesh, textures, light and cameras of a finished run by the engine's own functions, and its photographs next to it.
 
     Args:
         folder: of the run.
         size: texels along a side of the textures.
         confidence: 1 for a mesh with a confidence z that grows from 0 to 1, and z, 1 - z and z^2 for its materials.
+        tiles: UDIM tiles along a side.
     """
     import json
     from dataclasses import replace
 
+    from irgspp.core.assets.mesh_files import save_tiles
     from irgspp.core.io.exr import rgb_channels, write_exr
     from irgspp.core.scene.camera_files import save_cameras
     from irgspp.core.scene.dataset import Bound, Dataset, View
@@ -88,11 +108,14 @@ def write_run(folder: Path, size: int = 128, confidence: int = 0) -> None:
     photographs = folder.parent / "photographs"
     for needed in (folder, photographs):
         needed.mkdir(parents=True, exist_ok=True)
-    mesh, views = sphere(size=size), []
+    mesh, views = sphere(size=size) if tiles == 1 else in_tiles(size, tiles), []
     height = 0.5 + 0.5 * mesh.vertices[:, 2]
     known = {"confidence": height, "material_confidence": np.stack([height, 1 - height, height**2], -1)} if confidence else {}
     save_mesh_ply(replace(mesh, **known), folder / "mesh.ply")
     save_textures(mesh.textures, folder / "textures")
+    save_tiles(mesh.textures, folder / "textures", tiles)
+    if tiles > 1:
+        (folder / "run.json").write_text(json.dumps({"settings": {}, "phases": {}, "textures": {"tiles": tiles}}))
     write_exr(folder / "environment.exr", rgb_channels(axis_light()))
     for i, camera in enumerate(cameras()):
         image = photographs / f"view{i}.png"

@@ -275,8 +275,8 @@ TEXTS: dict[str, str] = {
         "fertigen Laufs schreiben"
     ),
     "Export IRGS++ Result": "IRGS++-Ergebnis exportieren",
-    "Width and height of the textures in texels; 0: as in the last bake": (
-        "Breite und Höhe der Texturen in Texeln; 0: wie beim letzten Backen"
+    "Width and height of the textures, or of each UDIM tile, in texels; 0: as in the last bake": (
+        "Breite und Höhe der Texturen, oder jeder UDIM-Kachel, in Texeln; 0: wie beim letzten Backen"
     ),
     "Name of a mesh object, edited or newly modelled, that replaces the run's mesh; its UVs are kept": (
         "Name eines bearbeiteten oder neu modellierten Mesh-Objekts, das das Mesh des Laufs ersetzt; seine UVs bleiben"

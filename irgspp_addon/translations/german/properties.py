@@ -141,6 +141,12 @@ TEXTS: dict[str, str] = {
     "Bits of each value of albedo, roughness, metallic and normal textures. A .glb always has 8": (
         "Bits jedes Werts der Texturen von Albedo, Rauheit, Metall und Normalen. Eine .glb-Datei hat immer 8"
     ),
+    "UDIM Tiles": "UDIM-Kacheln",
+    "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the mesh is unwrapped again. "
+    "1: one image; 0: as in the last bake, or by the edited mesh's UVs": (
+        "Kacheln dieser Größe entlang jeder Seite: 2 für 2 x 2, für mehr Texel als in ein Bild passen; das Mesh wird neu abgewickelt. "
+        "1: ein Bild; 0: wie beim letzten Backen, oder nach den UVs des bearbeiteten Meshs"
+    ),
     "As Before": "Wie zuvor",
     "As in the last bake": "Wie beim letzten Backen",
     "8 Bits": "8 Bit",
@@ -201,6 +207,9 @@ TEXTS: dict[str, str] = {
     "Beside": "Daneben",
     "In a folder beside the file, which is found when both are moved together": (
         "In einem Ordner neben der Datei, der gefunden wird, wenn beide zusammen verschoben werden"
+    ),
+    "As UDIM tiles in a folder beside the file. Bake them first; not every program finds them by itself": (
+        "Als UDIM-Kacheln in einem Ordner neben der Datei. Sie werden zuerst gebacken; nicht jedes Programm findet sie von selbst"
     ),
     "Normal Map": "Normalenkarte",
     "Direction of green in the normal map of .fbx and .obj": "Richtung von Grün in der Normalenkarte von .fbx und .obj",

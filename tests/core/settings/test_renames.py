@@ -87,6 +87,7 @@ ADDED |= {
     "surface.texture_least",
     "surface.texture_most",
     "surface.texture_bits",
+    "surface.udim_tiles",
 }
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
 ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {

@@ -53,6 +53,7 @@ def written(run_folder, hulls, tmp_path_factory):
         "run": str(run_folder),
         "name": "ball",
         "textures": str(folder / "ball_textures"),
+        "tiles": 1,
         "matrix": np.array(Matrix.Translation(OFFSET)).tolist(),
     }
     job |= {"lods": [0.5, 0.25], "hulls": str(hulls), "pack": False, "occlusion": True}
