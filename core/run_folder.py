@@ -37,7 +37,7 @@ class RunFolder(EventLog):
             previous run are being removed), recut (the same while its capture is kept), versions, dataset, settings, seed,
             computed_on {device, why}, phases {name: {seconds, peak_memory, finished}}, skipped [{what, why}], rules {name: {on,
             evidence}}, pace {stage: schedule scale, as a multiple of the settings' schedule}, training {metric: value}, textures
-            {size, baked, texel, why}.
+            {tiles, size, baked, texel, why}.
     """
 
     def __init__(self, path: Path, state: dict[str, Any], lock: FileLock) -> None:

@@ -36,7 +36,11 @@ class IRGSPP_OT_bake(Queued, bpy.types.Operator):
 
     run: StringProperty(**RUN)
     size: IntProperty(
-        name="Texture Size", description="Width and height of the textures, or of each UDIM tile, in texels; 0: as in the last bake", default=0, min=0, max=16384
+        name="Texture Size",
+        description="Width and height of the textures, or of each UDIM tile, in texels; 0: as in the last bake",
+        default=0,
+        min=0,
+        max=16384,
     )
     bits: EnumProperty(**shared.TEXTURE_BITS)
     udim: IntProperty(**shared.UDIM)

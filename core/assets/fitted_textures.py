@@ -41,7 +41,8 @@ def texture_state(mesh: Mesh, baked: int, why: str, tiles: int = 1) -> dict[str,
         tiles: UDIM tiles along a side.
 
     Returns:
-        tiles along a side, size and baked in texels along a side of a tile, why, and texel: mean side of a texel on the surface, world units.
+        tiles along a side, size and baked in texels along a side of a tile, why, and texel: mean side of a texel on the surface,
+        world units.
     """
     along = len(mesh.textures["albedo"])
     texel = mean_texel_side(mesh.vertices, mesh.faces, mesh.uvs, along)

@@ -93,7 +93,9 @@ class AssetOptions:
             InputError: if tiles are asked for and the run has none.
         """
         if self.textures == "tiles" and tiles == 1:
-            raise InputError("--textures", "the run has no UDIM tiles", "bake them first: irgspp bake RUN --udim 2, or UDIM Tiles under Bake Again")
+            raise InputError(
+                "--textures", "the run has no UDIM tiles", "bake them first: irgspp bake RUN --udim 2, or UDIM Tiles under Bake Again"
+            )
         return tiles if suffix == ".blend" or self.textures == "tiles" else 1
 
 

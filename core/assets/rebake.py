@@ -54,9 +54,9 @@ def bake(
 ) -> None:
     """Replace mesh.ply, textures, asset.glb and scene.blend of a finished run.
 
-    Without `triangles`, `edited` and `quads` the mesh stays as it is, but for its UVs where other tiles are asked for. Without `height` too, a size below that of the run's bake is then
-    made from this bake, which the run keeps, and the size of the bake itself is restored from there; any other size is baked. If the work
-    fails or is stopped, the run stays as it was.
+    Without `triangles`, `edited` and `quads` the mesh stays as it is, but for its UVs where other tiles are asked for. Without `height` and
+    other tiles, a size below that of the run's bake is then made from this bake, which the run keeps, and the size of the bake itself is
+    restored from there; any other size is baked. If the work fails or is stopped, the run stays as it was.
 
     Args:
         run: folder of the finished run.
@@ -133,7 +133,9 @@ def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: P
         progress.message(height_line(folder.state["height"]))
         folder.log(height_line(folder.state["height"]))
     progress.message(texture_line(folder.state["textures"]))
-    folder.log(f"baked again: {tiles} x {tiles} tiles of {size} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
+    folder.log(
+        f"baked again: {tiles} x {tiles} tiles of {size} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else "")
+    )
 
 
 def _resize(folder: RunFolder, size: int, progress: Progress) -> None:

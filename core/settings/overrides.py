@@ -54,7 +54,8 @@ def check(settings: Settings) -> Settings:
         raise InputError("second.brdf", what, "add --set second.solver=joint")
     surface = settings.surface
     if surface.texels > MOST_TEXELS:
-        what = f"{surface.udim_tiles} x {surface.udim_tiles} tiles of {surface.tile_texels} texels are more than {MOST_TEXELS} texels along a side"
+        tiles = f"{surface.udim_tiles} x {surface.udim_tiles} tiles of {surface.tile_texels} texels"
+        what = f"{tiles} are more than {MOST_TEXELS} texels along a side"
         raise InputError("setting surface.udim_tiles", what, "choose fewer tiles, or a smaller texture size")
     return settings
 

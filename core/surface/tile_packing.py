@@ -74,9 +74,7 @@ def _bounds(chart: np.ndarray, uvs: np.ndarray) -> tuple[np.ndarray, np.ndarray]
     return low, high
 
 
-def _cut(
-    faces: np.ndarray, uvs: np.ndarray, largest: float, quads: np.ndarray | None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _cut(faces: np.ndarray, uvs: np.ndarray, largest: float, quads: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Cut charts in two, across their longer side, until none is larger or those that are have too few faces."""
     source, before = np.arange(len(uvs)), 0
     while True:

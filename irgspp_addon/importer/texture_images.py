@@ -46,7 +46,7 @@ def has_file(path: Path) -> bool:
 
 @contextmanager
 def existing_paths(images: Iterable[bpy.types.Image]) -> Iterator[None]:
-    """Let a file exist at the path NAME.<UDIM>.png of each tiled image meanwhile: Blender writes only paths of files as relative ones to USD.
+    """Let a file exist at the path NAME.<UDIM>.png of each tiled image meanwhile: Blender writes only paths of files relative to USD.
 
     Args:
         images: of any source; others than tiled ones are left out.

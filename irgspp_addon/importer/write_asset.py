@@ -2,8 +2,8 @@
 """Write a run's object in formats of other programs, in a separate process with `bpy`: `launch.py ... JOB.json OUT.fbx OUT.usdc`.
 
 JOB.json holds "run" (folder), "name" of the asset, "textures" (folder of albedo, roughness, metallic, normal and orm.png), "pack" (True to
-put them into the file), "tiles" (UDIM tiles along a side of the textures), "lods" (fraction of the triangles in each further level), "hulls"
-(.npz, or null), "occlusion" (True where red of orm.png is to be read) and "matrix" (4 x 4, that the vertices are multiplied by).
+put them into the file), "tiles" (UDIM tiles along a side of the textures), "lods" (fraction of the triangles in each further level),
+"hulls" (.npz, or null), "occlusion" (True where red of orm.png is to be read) and "matrix" (4 x 4, that the vertices are multiplied by).
 """
 
 from __future__ import annotations

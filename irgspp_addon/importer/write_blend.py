@@ -25,8 +25,8 @@ from .arrangement import show_cameras
 from .asset_parts import add_hulls, add_levels
 from .materials import SOURCES
 from .mesh_origin import mesh_to_run
-from .texture_images import texture_path
 from .scene_builder import Imported, import_run, show_as_photographed, turn_light
+from .texture_images import texture_path
 
 VIEW_DISTANCE = 1.6  # of 3D Views from the object, as a multiple of its diagonal
 CLIP = 1e-3, 1e3  # nearest and farthest distance that 3D Views show, as multiples of the diagonal

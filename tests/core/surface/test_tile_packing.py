@@ -81,5 +81,5 @@ def test_quads_are_not_cut():
 
 
 def test_tiles_of_too_few_texels_are_refused(body):
-    with pytest.raises(InputError, match="UDIM tiles: .* do not fit into 4 x 4 tiles of so few texels; choose larger textures"):
+    with pytest.raises(InputError, match=r"UDIM tiles: .* do not fit into 4 x 4 tiles of so few texels; choose larger textures"):
         unwrap(body, 64, 4)
