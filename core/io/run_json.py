@@ -40,7 +40,10 @@ def udim_tiles(path: Path) -> int:
     file = path / "run.json"
     if not file.is_file():
         return 1
-    tiles = (read_run(path).get("textures") or {}).get("tiles", 1)
+    try:
+        tiles = (json.loads(file.read_text("utf-8")).get("textures") or {}).get("tiles", 1)
+    except (OSError, ValueError, AttributeError, RecursionError) as error:
+        raise InputError(file, f"is broken ({error})", "start the run again with --overwrite") from error
     if type(tiles) is not int or tiles < 1:
         raise InputError(file, f"is broken (textures.tiles is {tiles!r})", "bake the run again")
     return tiles

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xatlas
 
@@ -69,6 +71,5 @@ def unwrapped_again(mesh: Mesh, texture: int, tiles: int = 1) -> Mesh:
     _, first, welded = np.unique(place, axis=0, return_index=True, return_inverse=True)
     source, faces, uvs = unwrap(Triangles(mesh.vertices[first], welded.reshape(-1)[mesh.faces]), texture, tiles)
     names = ("vertices", "normals", "albedo", "roughness", "metallic", "confidence", "material_confidence")
-    values = {name: getattr(mesh, name) for name in names}
-    chosen = {name: None if value is None else value[first[source]] for name, value in values.items()}
-    return Mesh(**chosen, uvs=uvs, faces=faces, quads=joined_quads(faces, mesh.quads))
+    chosen = {name: value[first[source]] for name in names if (value := getattr(mesh, name)) is not None}
+    return replace(mesh, **chosen, uvs=uvs, faces=faces, textures={}, quads=joined_quads(faces, mesh.quads))

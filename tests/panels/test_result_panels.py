@@ -124,6 +124,14 @@ def test_bits_are_those_of_the_last_bake_until_others_are_chosen(settings, run_f
     assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["bits"] == "16"
 
 
+def test_tiles_are_those_of_the_last_bake_until_others_are_chosen(settings, run_folder):
+    settings.run = str(finished_run(run_folder))
+    assert draw(result.IRGSPP_PT_bake).buttons("irgspp.bake")[0].values["udim"] == 0
+    settings.udim_tiles = 2
+    drawn = draw(result.IRGSPP_PT_bake)
+    assert "udim_tiles" in drawn.properties and drawn.buttons("irgspp.bake")[0].values["udim"] == 2
+
+
 def test_each_size_up_to_the_bake_has_a_button(settings, run_folder):
     settings.run = str(finished_run(run_folder, textures={"size": 1024, "baked": 4096}))
     drawn = draw(result.IRGSPP_PT_result).buttons("irgspp.bake")

@@ -62,6 +62,48 @@ def test_heights_have_their_scale_beside_them(run, tmp_path):
     assert json.loads((tmp_path / "set" / "height.json").read_text()) == record
 
 
+def with_tiles(run, tiles=2):
+    (run / "run.json").write_text(json.dumps({"settings": {}, "phases": {}, "textures": {"tiles": tiles}}))
+
+
+def test_sets_of_tiles_hold_parts_of_the_images(run, tmp_path):
+    from PIL import Image
+
+    save_texture_set(run, tmp_path / "set", tiles=2)
+    own, names = load_textures(run / "textures"), ("albedo", "roughness", "metallic", "normal", "orm")
+    assert {path.name for path in (tmp_path / "set").iterdir()} == {f"{n}.{t}.png" for n in names for t in (1001, 1002, 1011, 1012)}
+    lower_right = np.asarray(Image.open(tmp_path / "set" / "albedo.1002.png"))
+    np.testing.assert_array_equal(lower_right, own["albedo"][16:, 16:])
+
+
+@pytest.mark.parametrize(("suffix", "textures", "tiles"), [
+    (".blend", "auto", 2), (".blend", "beside", 2), (".blend", "tiles", 2), (".usdc", "auto", 1), (".usdc", "tiles", 2),
+    (".obj", "beside", 1), (".obj", "tiles", 2), (".fbx", "packed", 1), (".fbx", "tiles", 2), (".glb", "auto", 1), (".usdz", "auto", 1),
+])  # fmt: skip
+def test_formats_have_tiles_where_they_are_asked_for(suffix, textures, tiles):
+    options = AssetOptions(textures=textures)
+    assert options.tiles(suffix, 2) == tiles and (options.packs(suffix) is False or textures != "tiles")
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".usdz"])
+def test_formats_without_tiles_refuse_them(run, tmp_path, suffix):
+    with_tiles(run)
+    with pytest.raises(InputError, match=f"--textures: {suffix} always holds its textures"):
+        export(run, tmp_path / f"a{suffix}", options=AssetOptions(textures="tiles"))
+    assert AssetOptions(textures="tiles").fitting(suffix).textures == "auto"
+
+
+def test_tiles_of_a_run_without_them_are_refused(run, tmp_path):
+    with pytest.raises(InputError, match="--textures: the run has no UDIM tiles; bake them first"):
+        export(run, tmp_path / "a.obj", options=AssetOptions(textures="tiles"))
+
+
+def test_broken_number_of_tiles_is_bad_input(run, tmp_path):
+    with_tiles(run, "many")
+    with pytest.raises(InputError, match=r"run\.json: is broken \(textures\.tiles is 'many'\)"):
+        export(run, tmp_path / "a.obj", options=AssetOptions())
+
+
 def test_directx_normals_have_the_other_green(run, tmp_path):
     normal = load_textures(run / "textures")["normal"].copy()
     normal[3, 4] = 200, 90, 210

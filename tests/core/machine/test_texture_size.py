@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from irgspp.core.datasets.load import load_dataset
+from irgspp.core.errors import InputError
 from irgspp.core.machine import texture_size
 from irgspp.core.machine.cpu_memory import FreeMemory
 from irgspp.core.machine.texture_size import choose_texture_size, size_by_pixels
@@ -45,6 +46,19 @@ def test_texels_are_about_as_fine_as_pixels(demo: Dataset, pixels: float, size: 
     settings = with_overrides(Settings(), ["data.resolution=64"])  # that of the demo
     chosen = size_by_pixels(settings, reduced(demo, reduction_for(demo, pixels)))
     assert chosen.size == size and f"{pixels:,.0f} pixels of a full-size photograph" in chosen.why
+
+
+@pytest.mark.parametrize(("pixels", "tiles", "size"), [(1_900_000, 2, 2048), (9e6, 2, 4096), (9e6, 4, 4096), (9e6, 3, 4096)])
+def test_sizes_count_for_each_tile(demo: Dataset, pixels: float, tiles: int, size: int) -> None:
+    settings = with_overrides(Settings(), ["data.resolution=64", f"surface.udim_tiles={tiles}"])
+    assert size_by_pixels(settings, reduced(demo, reduction_for(demo, pixels))).size == size
+
+
+def test_tiles_together_have_no_more_texels_than_one_texture_may(demo: Dataset) -> None:
+    settings = with_overrides(preset("high"), ["data.resolution=64", "surface.udim_tiles=3"])
+    assert size_by_pixels(settings, reduced(demo, reduction_for(demo, 9e7))).size == 4096  # 3 x 8192 would be too many
+    with pytest.raises(InputError, match="4 x 4 tiles of 8192 texels are more than 16384 texels along a side"):
+        with_overrides(Settings(), ["surface.texture=8192", "surface.udim_tiles=4"])
 
 
 def test_presets_have_bounds_of_their_own(demo: Dataset) -> None:

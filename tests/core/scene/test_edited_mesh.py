@@ -92,4 +92,12 @@ def test_bad_files_are_reported_in_one_line(tmp_path):
     write(tmp_path / "a.ply", np.array([[np.nan, 0, 0], [1, 0, 0], [0, 1, 0]]), [[0, 1, 2]])
     refused("not finite")
     write(tmp_path / "a.ply", SQUARE, [[0, 1, 2]], s=SQUARE[:, 0] * 3, t=SQUARE[:, 1])
-    refused("outside of 0..1")
+    refused("outside of 0..4; unwrap it into one square, or into UDIM tiles up to 1034")
+
+
+@pytest.mark.parametrize(("largest", "tiles"), [(0.2, 1), (1.0, 1), (1.00001, 1), (1.2, 2), (2.0, 2), (4.0, 4)])
+def test_uvs_beyond_one_lie_in_tiles(tmp_path, largest, tiles):
+    u = SQUARE[:, 0] / 2 * largest
+    mesh = load_edited_mesh(write(tmp_path / "a.ply", SQUARE, [[0, 1, 2, 3], [1, 4, 2]], s=u, t=SQUARE[:, 1] / 8))
+    assert mesh.uvs is not None and mesh.tiles == tiles
+    assert mesh.uvs[:, 0].max() == pytest.approx(min(largest / tiles, 1), abs=1e-6) and mesh.uvs[:, 1].max() == pytest.approx(1 / 8 / tiles)
