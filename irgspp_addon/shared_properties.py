@@ -106,7 +106,7 @@ TEXTURE_BITS: Definition = {
 }
 UDIM: Definition = {
     "name": "UDIM Tiles",
-    "description": "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the mesh is unwrapped again. "
+    "description": "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the UVs are packed again. "
     "1: one image; 0: as in the last bake, or by the edited mesh's UVs",
     "default": 0,
     "min": 0,

@@ -160,7 +160,7 @@ def _add_bake(subparsers: Subparsers) -> None:
     _run_argument(one)
     size = "texels along a side, such as 4k; textures smaller than the last bake are made from it (default: bake its size again)"
     one.add_argument("--size", type=texels, metavar="N", help=size)
-    tiles = "N x N UDIM tiles of that size, for which the mesh is unwrapped again; 1: one square (default: as in the last bake)"
+    tiles = "N x N UDIM tiles of that size, into which the charts are packed; 1: one square (default: as in the last bake)"
     one.add_argument("--udim", type=positive, metavar="N", help=tiles)
     deep = "bits of each value of albedo, roughness, metallic and normal.png; a .glb always has 8 (default: as in the last bake)"
     one.add_argument("--bits", type=int, choices=(8, 16), help=deep)

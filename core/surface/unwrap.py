@@ -56,8 +56,10 @@ def unwrap(mesh: Triangles, texture: int, tiles: int = 1) -> tuple[np.ndarray, n
     return source[copied], faces, uvs
 
 
-def unwrapped_again(mesh: Mesh, texture: int, tiles: int = 1) -> Mesh:
-    """Return a mesh with other UVs and without textures; shape, normals and materials at its vertices stay.
+def unwrapped_again(mesh: Mesh, texture: int, tiles: int) -> Mesh:
+    """Return a mesh with its charts packed into UDIM tiles, or unwrapped anew into one square; without textures.
+
+    Shape, normals and materials at its vertices stay.
 
     Args:
         mesh: with any UVs.
@@ -67,9 +69,13 @@ def unwrapped_again(mesh: Mesh, texture: int, tiles: int = 1) -> Mesh:
     Raises:
         InputError: if the tiles have too few texels for the charts.
     """
-    place = np.concatenate([mesh.vertices, mesh.normals], -1)
-    _, first, welded = np.unique(place, axis=0, return_index=True, return_inverse=True)
-    source, faces, uvs = unwrap(Triangles(mesh.vertices[first], welded.reshape(-1)[mesh.faces]), texture, tiles)
+    if tiles > 1:
+        source, faces, uvs = packed_in_tiles(mesh.faces, mesh.uvs, tiles, texture, PADDING, mesh.quads)
+    else:  # charts that were cut for tiles are whole again
+        place = np.concatenate([mesh.vertices, mesh.normals], -1)
+        _, first, welded = np.unique(place, axis=0, return_index=True, return_inverse=True)
+        source, faces, uvs = unwrap(Triangles(mesh.vertices[first], welded.reshape(-1)[mesh.faces]), texture)
+        source = first[source]
     names = ("vertices", "normals", "albedo", "roughness", "metallic", "confidence", "material_confidence")
-    chosen = {name: value[first[source]] for name in names if (value := getattr(mesh, name)) is not None}
+    chosen = {name: value[source] for name in names if (value := getattr(mesh, name)) is not None}
     return replace(mesh, **chosen, uvs=uvs, faces=faces, textures={}, quads=joined_quads(faces, mesh.quads))

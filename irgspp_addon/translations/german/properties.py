@@ -142,9 +142,9 @@ TEXTS: dict[str, str] = {
         "Bits jedes Werts der Texturen von Albedo, Rauheit, Metall und Normalen. Eine .glb-Datei hat immer 8"
     ),
     "UDIM Tiles": "UDIM-Kacheln",
-    "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the mesh is unwrapped again. "
+    "Tiles of this size along each side: 2 for 2 x 2, for more texels than one image holds; the UVs are packed again. "
     "1: one image; 0: as in the last bake, or by the edited mesh's UVs": (
-        "Kacheln dieser Größe entlang jeder Seite: 2 für 2 x 2, für mehr Texel als in ein Bild passen; das Mesh wird neu abgewickelt. "
+        "Kacheln dieser Größe entlang jeder Seite: 2 für 2 x 2, für mehr Texel als in ein Bild passen; die UVs werden neu gepackt. "
         "1: ein Bild; 0: wie beim letzten Backen, oder nach den UVs des bearbeiteten Meshs"
     ),
     "As Before": "Wie zuvor",

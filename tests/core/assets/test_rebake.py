@@ -245,6 +245,13 @@ def test_run_is_remeshed_to_quads(run):
     bake(run, Silent(), size=128)
     assert np.abs(np.linalg.norm(mesh.vertices, axis=-1) - 1).max() < 0.05
     assert albedo_error(run) < 0.02
+    bake(run, Silent(), size=64, udim=2)
+    tiled = load_mesh_ply(run / "mesh.ply")
+    assert tiled.quads is not None and tiled.quads.sum() == mesh.quads.sum() and len(tiles_on_disk(run)) == 4
+    bake(run, Silent(), quads=300)  # as many tiles as before
+    again = load_mesh_ply(run / "mesh.ply")
+    assert len(tiles_on_disk(run)) == 4 and again.quads is not None and 2 * again.quads.sum() == len(again.faces)
+    assert albedo_error(run) < 0.02
 
 
 def test_edited_mesh_without_uvs_is_unwrapped(run, tmp_path):

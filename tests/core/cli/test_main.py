@@ -226,3 +226,10 @@ def test_export_of_an_unfinished_run(tmp_path, capsys):
 def test_package_has_the_demo_data():
     assert (pipeline.DEMO_DATA / "transforms_train.json").is_file()
     assert isinstance(pipeline.DEMO_DATA, Path)
+
+
+def test_tiles_are_a_setting():
+    settings = settings_of(parser().parse_args(["reconstruct", "photos", "-o", "run", "--texture", "2k", "--udim", "3"]))
+    assert (settings.surface.udim_tiles, settings.surface.tile_texels, settings.surface.texels) == (3, 2048, 6144)
+    with pytest.raises(InputError, match=r"surface.udim_tiles: 5 is out of range; must be at least 1 and at most 4"):
+        settings_of(parser().parse_args(["reconstruct", "photos", "-o", "run", "--udim", "5"]))

@@ -256,7 +256,7 @@ def test_turned_and_stretched(run_folder, tmp_path):
     shutil.copytree(run_folder / "textures", tmp_path / "ball_textures")
     matrix = Matrix.Diagonal((2, 1, 1, 1)) @ Matrix.Rotation(np.pi / 2, 4, "X")
     job = {"run": str(run_folder), "name": "ball", "textures": str(tmp_path / "ball_textures"), "matrix": np.array(matrix).tolist()}
-    writing.write_asset({**job, "lods": [], "hulls": None, "pack": False, "occlusion": False}, [tmp_path / "ball.obj"])
+    writing.write_asset({**job, "tiles": 1, "lods": [], "hulls": None, "pack": False, "occlusion": False}, [tmp_path / "ball.obj"])
     place, normal, _ = corners(reread(tmp_path, "obj")["ball"])
     np.testing.assert_allclose([place.reshape(-1, 3).min(0), place.reshape(-1, 3).max(0)], [[-2, -1, -1], [2, 1, 1]], atol=0.01)
     true = place / [4, 1, 1]  # gradient of the ellipsoid
@@ -272,6 +272,7 @@ def test_missing_texture_and_unknown_format_are_errors(run_folder, tmp_path):
         "matrix": np.eye(4).tolist(),
         "lods": [],
         "hulls": None,
+        "tiles": 1,
         "pack": False,
         "occlusion": False,
     }
