@@ -133,9 +133,8 @@ def _bake(folder: RunFolder, settings: Settings, target: BakeTarget, progress: P
         progress.message(height_line(folder.state["height"]))
         folder.log(height_line(folder.state["height"]))
     progress.message(texture_line(folder.state["textures"]))
-    folder.log(
-        f"baked again: {tiles} x {tiles} tiles of {size} texels, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else "")
-    )
+    sizes = f"{size} texels" if tiles == 1 else f"{tiles} x {tiles} UDIM tiles of {size} texels"
+    folder.log(f"baked again: {sizes}, {len(mesh.faces):,} triangles" + (f" of {edited}" if edited else ""))
 
 
 def _resize(folder: RunFolder, size: int, progress: Progress) -> None:
