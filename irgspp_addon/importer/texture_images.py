@@ -56,15 +56,21 @@ def existing_paths(images: Iterable[bpy.types.Image]) -> Iterator[None]:
     """
     paths = [Path(bpy.path.abspath(image.filepath)) for image in images if image.source == "TILED"]
     try:
-        for path in paths:
-            path.touch()
+        _touch(paths)
         yield
-    except OSError as error:
-        raise IrgsppError(f"{paths[0]}: this system allows no such file name, which Blender needs to write UDIM tiles to USD") from error
     finally:
         for path in paths:
             with suppress(OSError):
                 path.unlink()
+
+
+def _touch(paths: Iterable[Path]) -> None:
+    """Create empty files."""
+    for path in paths:
+        try:
+            path.touch()
+        except OSError as error:
+            raise IrgsppError(f"{path}: this system allows no such file name, which Blender needs to write UDIM tiles to USD") from error
 
 
 def load_texture(folder: Path, name: str, pack: bool, tiles: int = 1) -> bpy.types.Image:
