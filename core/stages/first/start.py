@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 
 from ...scene.gaussians import Gaussians
@@ -24,3 +25,11 @@ class Start:
     gaussians: Gaussians
     anchors: DepthAnchors | None = None
     metal: torch.Tensor | None = None
+
+    def points(self) -> np.ndarray:
+        """Return the positions (N, 3) float64 of the surfels, world."""
+        return self.gaussians.position.T.double().cpu().numpy()
+
+    def normals(self) -> np.ndarray:
+        """Return the normals (N, 3) float64 of the surfels, unit, outwards."""
+        return self.gaussians.normals().T.double().cpu().numpy()

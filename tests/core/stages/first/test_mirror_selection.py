@@ -9,10 +9,10 @@ import torch
 from images_in_a_ball import CENTRE, IMAGES, RADIUS, anchored, entered, images_in_a_ball
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import mirror_selection, start_trials
+from irgspp.core.stages.first import layered_regions, mirror_selection, start_trials
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL
-from irgspp.core.stages.first.mirror_selection import MIN_SPREAD, select_mirrors
+from irgspp.core.stages.first.mirror_selection import MIN_COLOUR_CHANGE, MIN_SPREAD, select_mirrors
 from irgspp.core.stages.first.start import Start
 from irgspp.core.stages.first.start_trials import StartTrials
 from mirror_sphere import mirror_photographs
@@ -48,7 +48,7 @@ def half_chrome(cameras, sphere_dataset):
 def halves(half_chrome, monkeypatch):
     left = half_chrome[1].gaussians.position[0].numpy() < -0.1
     right = half_chrome[1].gaussians.position[0].numpy() > 0.5
-    monkeypatch.setattr(mirror_selection, "layered_regions", lambda *_: [right, left])
+    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [right, left])
     return left
 
 
@@ -65,10 +65,18 @@ def test_the_colours_tell_chrome_from_paint(half_chrome, halves):
 
 @pytest.mark.parametrize(("spread", "chosen"), [(1.01 * MIN_SPREAD, True), (0.99 * MIN_SPREAD, False)])
 def test_the_spread_is_compared_with_that_of_the_other_points(half_chrome, halves, monkeypatch, spread, chosen):
-    monkeypatch.setattr(mirror_selection, "colour_spread", lambda *_: np.where(halves, 0.01 * spread, 0.01))
+    monkeypatch.setattr(mirror_selection, "colour_spread", lambda *_: np.where(halves, 0.03 * spread, 0.03))
     dataset, start = half_chrome
     found = select_mirrors(start, StartTrials(dataset, SETTINGS, GLOSSY), RecordedDecisions())
     assert (found.metal is not None) == chosen and (found is start) != chosen
+
+
+@pytest.mark.parametrize(("change", "chosen"), [(1.01 * MIN_COLOUR_CHANGE, True), (0.99 * MIN_COLOUR_CHANGE, False)])
+def test_highlights_in_gloss_change_less_than_a_mirror(half_chrome, halves, monkeypatch, change, chosen):
+    monkeypatch.setattr(mirror_selection, "colour_spread", lambda *_: np.where(halves, change, 0.1 * change))
+    dataset, start = half_chrome
+    found = select_mirrors(start, StartTrials(dataset, SETTINGS, GLOSSY), RecordedDecisions())
+    assert (found.metal is not None) == chosen
 
 
 def test_known_metal_is_kept_and_not_tried_again(half_chrome, halves):
@@ -89,7 +97,7 @@ def test_images_deep_in_a_ball_are_moved_onto_it(camera_ring, sphere_dataset, so
     gaussians = some_gaussians(len(points), 0)
     gaussians = replace(gaussians, position=torch.from_numpy(points.T.astype(np.float32)))
     region = np.arange(len(points)) < 2000
-    monkeypatch.setattr(mirror_selection, "layered_regions", lambda *_: [region])
+    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [region])
     monkeypatch.setattr(mirror_selection, "colour_spread", lambda *_: np.where(region, 1.0, 0.1))
     dataset = sphere_dataset(camera_ring(24, 96))
     dataset = replace(dataset, train=[replace(view, alpha=np.ones(view.colour.shape[:2], np.float32)) for view in views])
@@ -117,6 +125,6 @@ def test_nothing_is_a_mirror_where_nothing_can_tell(half_chrome, halves, choice,
 
 
 def test_nothing_is_a_mirror_without_layers(half_chrome, monkeypatch):
-    monkeypatch.setattr(mirror_selection, "layered_regions", lambda *_: [])
+    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [])
     dataset, start = half_chrome
     assert select_mirrors(start, StartTrials(dataset, SETTINGS, GLOSSY), RecordedDecisions()) is start
