@@ -13,8 +13,6 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
-from .start import Start
-
 SPACING_NEIGHBOURS = 6  # the spacing is the median distance to this neighbour
 NORMAL_NEIGHBOURS, NORMAL_PASSES = 16, 2  # normals of fused points are averaged before: on metal they are noisy
 NEAREST, REACH = 2.0, 0.1  # spacings and radii of the bound between which points in front of a point are another layer
@@ -22,7 +20,6 @@ WIDTH = 1.5  # spacings beside the normal up to which a point counts as in front
 MIN_AGREEMENT = 0.5  # cosine between the normals of two layers: a thin part's two sides disagree
 LAYERED_NEIGHBOURS, MIN_LAYERED = 32, 0.25  # a point is in a layered region if so many of so many around it lie behind another layer
 MIN_SHARE = 0.0015  # share of all points that a region has at least
-MAX_METAL = 0.5  # fraction of a region's points that are metal, from which it is a region of metal
 MARGIN = 2.0  # spacings around a region's points that belong to it, too; points of one region are as near to each other
 
 
@@ -49,15 +46,6 @@ def layered_regions(points: np.ndarray, normals: np.ndarray, radius: float) -> l
         near = KDTree(points[layered[part]]).query(points, workers=-1)[0] <= MARGIN * spacing
         owner[near & (owner < 0)] = index
     return [owner == index for index in range(owner.max() + 1)]
-
-
-def unmetallic_regions(start: Start, radius: float) -> list[np.ndarray]:
-    """Return those of the `layered_regions` of a start that do not begin as metal; `radius` is that of the bound, world units."""
-    regions = layered_regions(start.points(), start.normals(), radius)
-    if start.metal is None:
-        return regions
-    metal = start.metal.cpu().numpy()
-    return [region for region in regions if metal[region].mean() < MAX_METAL]
 
 
 def _averaged(normals: np.ndarray, around: np.ndarray) -> np.ndarray:

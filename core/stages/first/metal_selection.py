@@ -3,16 +3,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import replace
 
 import numpy as np
 import torch
 
 from ...progress.protocol import Progress
-from .layered_regions import layered_regions
 from .material_class import METAL
-from .region_trial import region_gains
+from .region_trial import gains_in_words, region_gains
 from .start import Start
 from .start_trials import StartTrials
 from .trial_fits import MIN_HOLD_BACK_VIEWS, NO_TRIALS
@@ -21,6 +19,7 @@ from .trial_fits import MIN_HOLD_BACK_VIEWS, NO_TRIALS
 # objects, ears, a shackle and arm rings of metal gain 1.1 to 2.7 dB; a belt and a ball that stereo sees too deep (see
 # `select_spheres`) do not, and some 40 regions of other materials gain at most 0.9 dB.
 MIN_ERROR_RATIO = 1.25
+MAX_METAL = 0.5  # fraction of a region's surfels that are metal, from which it is a region of metal
 
 
 def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start:
@@ -45,8 +44,7 @@ def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start
     if reason:
         progress.decided("metal_regions", False, reason)
         return start
-    points = start.gaussians.position.T.double().cpu().numpy()
-    regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), trials.dataset.bound.radius)
+    regions = trials.layered_regions(start)
     if not regions:
         progress.decided("metal_regions", False, "nowhere do the start's points lie in several layers")
         return start
@@ -57,7 +55,7 @@ def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start
         progress.phase("metal", trials.settings.first.trial_iterations)
         gains = region_gains(trials, (start, metal), 0, regions, progress)
         chosen = [region for region, gain in zip(regions, gains, strict=True) if gain > MIN_ERROR_RATIO]
-        evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
+        evidence = f"{len(chosen)} of {found}; {gains_in_words(gains)}"
     progress.decided("metal_regions", bool(chosen), evidence)
     if len(chosen) == len(regions):
         return metal  # its trial fit is made
@@ -67,6 +65,17 @@ def select_metal(start: Start, trials: StartTrials, progress: Progress) -> Start
 def _as_metal(start: Start, regions: list[np.ndarray]) -> Start:
     """Return a start with regions, masks (N,) bool, as metal."""
     return replace(start, metal=torch.from_numpy(np.any(regions, 0)).to(start.gaussians.position.device))
+
+
+def unmetallic_regions(start: Start, trials: StartTrials) -> list[np.ndarray]:
+    """Return the masks (N,) bool of the regions whose points lie in several layers and that are not metal yet.
+
+    Args:
+        start: with its metal.
+        trials: trial fits of the object.
+    """
+    metal = np.zeros(start.gaussians.count, bool) if start.metal is None else start.metal.cpu().numpy()
+    return [region for region in trials.layered_regions(start) if metal[region].mean() < MAX_METAL]
 
 
 def reason_against_metal(trials: StartTrials) -> str:

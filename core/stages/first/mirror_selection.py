@@ -13,8 +13,7 @@ from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from .colour_spread import colour_spread
 from .hull_surface import hull_surface, moved_onto_hulls
-from .layered_regions import unmetallic_regions
-from .metal_selection import reason_against_metal
+from .metal_selection import reason_against_metal, unmetallic_regions
 from .start import Start
 from .start_trials import StartTrials
 
@@ -39,7 +38,7 @@ def select_mirrors(start: Start, trials: StartTrials, progress: Progress) -> Sta
         progress: receives the decision.
     """
     reason = reason_against_metal(trials) or ("" if start.anchors else "the start has no depths of stereo")
-    regions = [] if reason else unmetallic_regions(start, trials.dataset.bound.radius)
+    regions = [] if reason else unmetallic_regions(start, trials)
     if not regions:
         progress.decided("mirrors", False, reason or "no region whose points lie in several layers is left")
         return start

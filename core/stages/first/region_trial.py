@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 
 import numpy as np
@@ -22,7 +23,7 @@ MIN_PIXELS = 30  # of held-back views that must show a region
 def region_gains(
     trials: StartTrials, starts: tuple[Start, Start], shape: int, regions: Sequence[np.ndarray], progress: Progress
 ) -> list[float]:
-    """Return the squared error of each region from the first start over that from the second; 1 where held-back views hardly show it.
+    """Return the squared error of each region from the first start over that from the second; NaN where held-back views hardly show it.
 
     Args:
         trials: trial fits of the object.
@@ -37,9 +38,13 @@ def region_gains(
     # Both fits go on to the end, however far one is behind elsewhere.
     trials.compare({"first": starts[0], "second": starts[1]}, progress, may_give_up=False)
     fits = [trials.fit_of(start) for start in starts]
-    points = starts[shape].gaussians.position.T.double().cpu().numpy()
-    first, second = (_region_errors(fit, fits[shape], points, regions) for fit in fits)
-    return [float(one / other) if min(one, other) > 0 else 1.0 for one, other in zip(first, second, strict=True)]
+    first, second = (_region_errors(fit, fits[shape], starts[shape].points(), regions) for fit in fits)
+    return [float(one / other) if min(one, other) > 0 else math.nan for one, other in zip(first, second, strict=True)]
+
+
+def gains_in_words(gains: Sequence[float]) -> str:
+    """Return `region_gains` in decibels, as evidence for a decision."""
+    return "held-back views: " + ", ".join("not seen" if math.isnan(gain) else f"{10 * math.log10(gain):+.1f} dB" for gain in gains)
 
 
 def _region_errors(fit: Trainer, shape: Trainer, points: np.ndarray, regions: Sequence[np.ndarray]) -> np.ndarray:

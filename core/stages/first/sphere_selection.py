@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,11 +10,9 @@ import numpy as np
 import torch
 
 from ...progress.protocol import Progress
-from ...scene.dataset import Dataset
-from .layered_regions import layered_regions
 from .metal_selection import MIN_ERROR_RATIO, reason_against_metal
 from .mirror_sphere import MIN_SURFELS, MirrorSphere, mirror_sphere, moved_onto
-from .region_trial import region_gains
+from .region_trial import gains_in_words, region_gains
 from .start import Start
 from .start_trials import StartTrials
 
@@ -39,7 +36,7 @@ def select_spheres(start: Start, trials: StartTrials, progress: Progress) -> Sta
         Cancelled: the user stopped the work.
     """
     reason = reason_against_metal(trials) or ("" if start.anchors else "the start has no depths of stereo")
-    spheres = [] if reason else _candidates(trials.dataset, start)
+    spheres = [] if reason else _candidates(trials, start)
     if not spheres:
         progress.decided("mirror_spheres", False, reason or "no region whose points lie in several layers is a ball")
         return start
@@ -47,11 +44,11 @@ def select_spheres(start: Start, trials: StartTrials, progress: Progress) -> Sta
     if trials.settings.first.metal_regions == "on":
         chosen, evidence = spheres, f"{found}, as set"
     else:
-        points = moved.gaussians.position.T.double().cpu().numpy()
+        points = moved.points()
         progress.phase("spheres", trials.settings.first.trial_iterations)
         gains = region_gains(trials, (start, moved), 1, [sphere.holds(points) for sphere in spheres], progress)
         chosen = [sphere for sphere, gain in zip(spheres, gains, strict=True) if gain > MIN_ERROR_RATIO]
-        evidence = f"{len(chosen)} of {found}; held-back views: {', '.join(f'{10 * math.log10(gain):+.1f} dB' for gain in gains)}"
+        evidence = f"{len(chosen)} of {found}; {gains_in_words(gains)}"
     progress.decided("mirror_spheres", bool(chosen), evidence)
     if len(chosen) == len(spheres):
         return moved
@@ -65,15 +62,15 @@ def with_spheres(start: Start, spheres: Sequence[MirrorSphere]) -> Start:
         start: what the first stage starts with.
         spheres: at least one.
     """
-    points, device = start.gaussians.position.T.double().cpu().numpy(), start.gaussians.position.device
+    points, device = start.points(), start.gaussians.position.device
     metal = torch.from_numpy(np.any([sphere.holds(points) for sphere in spheres], 0)).to(device)
     return replace(start, gaussians=moved_onto(start.gaussians, spheres), metal=metal if start.metal is None else metal | start.metal)
 
 
-def _candidates(dataset: Dataset, start: Start) -> list[MirrorSphere]:
+def _candidates(trials: StartTrials, start: Start) -> list[MirrorSphere]:
     """Return the spheres of the regions whose points lie in several layers."""
     assert start.anchors is not None
-    points, radius = start.gaussians.position.T.double().cpu().numpy(), dataset.bound.radius
-    regions = layered_regions(points, start.gaussians.normals().T.double().cpu().numpy(), radius)
-    spheres = [mirror_sphere(dataset.train, start.anchors, points[region], radius) for region in regions]
+    points, dataset = start.points(), trials.dataset
+    regions = trials.layered_regions(start)
+    spheres = [mirror_sphere(dataset.train, start.anchors, points[region], dataset.bound.radius) for region in regions]
     return [sphere for sphere in spheres if sphere is not None and sphere.holds(points).sum() >= MIN_SURFELS]

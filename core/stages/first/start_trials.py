@@ -6,9 +6,13 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 
+import numpy as np
+import torch
+
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset
 from ...settings.schema import Settings
+from .layered_regions import layered_regions
 from .material_class import MaterialClass
 from .start import Start
 from .trainer import Trainer
@@ -25,6 +29,7 @@ class StartTrials:
         material_class: class of the object.
         crop: crop the images to the object.
         fits: what has been fitted, by start.
+        layered: regions in several layers, by the positions of a start's surfels.
     """
 
     dataset: Dataset
@@ -32,6 +37,7 @@ class StartTrials:
     material_class: MaterialClass
     crop: bool = False
     fits: dict[Start, Trainer] = field(default_factory=dict)
+    layered: dict[torch.Tensor, list[np.ndarray]] = field(default_factory=dict)
 
     def fit_of(self, start: Start) -> Trainer:
         """Return the trial fit of a start; `compare` runs it.
@@ -45,6 +51,17 @@ class StartTrials:
             closed = replace(sized, first=replace(sized.first, open_edges=0.0))
             self.fits[start] = prepare_trial(self.dataset, closed, start.gaussians, self.material_class, self.crop, start.metal)
         return self.fits[start]
+
+    def layered_regions(self, start: Start) -> list[np.ndarray]:
+        """Return the masks (N,) bool of the regions of a start whose points lie in several layers, the largest first.
+
+        Args:
+            start: one of this object's; starts with the same surfels have the same regions.
+        """
+        position = start.gaussians.position
+        if position not in self.layered:
+            self.layered[position] = layered_regions(start.points(), start.normals(), self.dataset.bound.radius)
+        return self.layered[position]
 
     def compare(self, starts: Mapping[str, Start], progress: Progress, may_give_up: bool) -> dict[str, float]:
         """Run the trial fits of starts, as far as they have not been, and return their PSNR in dB on held-back views by name.

@@ -35,7 +35,7 @@ def scene(sphere_dataset, camera_ring):
 def halves(scene, monkeypatch):
     """Two regions: the surfels on either side of x = 0, the left first."""
     left = scene[1].gaussians.position[0].numpy() < 0
-    monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [left, ~left])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [left, ~left])
     return left, ~left
 
 
@@ -115,7 +115,7 @@ def test_chrome_is_metal_and_paint_is_not(sphere_dataset, camera_ring, monkeypat
     settings = with_overrides(SETTINGS, ["first.trial_iterations=60", "first.trial_gaussians=600", "first.trial_resolution=24"])
     start = Start(initial_gaussians(painted, 1500, np.random.default_rng(0)))
     left = start.gaussians.position[0].numpy() < 0
-    monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [left, ~left])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [left, ~left])
     found = select_metal(start, StartTrials(mirror, settings, GLOSSY), Silent())
     assert found.metal is not None
     assert found.metal.all()
@@ -126,10 +126,10 @@ def test_a_region_that_hardly_a_pixel_shows_is_not_compared(scene, monkeypatch):
     nothing = np.zeros(200, bool)
     one = nothing.copy()
     one[0] = True
-    monkeypatch.setattr(metal_selection, "layered_regions", lambda *_: [one])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [one])
     progress = RecordedDecisions()
     assert select_metal(scene[1], StartTrials(scene[0], SETTINGS, GLOSSY), progress).metal is None
-    assert progress.found["metal_regions"][1].endswith("held-back views: +0.0 dB")
+    assert progress.found["metal_regions"][1].endswith("held-back views: not seen")
 
 
 def test_a_trial_can_be_cancelled(scene, halves):

@@ -9,7 +9,7 @@ import torch
 from images_in_a_ball import CENTRE, IMAGES, RADIUS, anchored, entered, images_in_a_ball
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
-from irgspp.core.stages.first import layered_regions, mirror_selection, start_trials
+from irgspp.core.stages.first import mirror_selection, start_trials
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS, METAL
 from irgspp.core.stages.first.mirror_selection import MIN_COLOUR_CHANGE, MIN_SPREAD, select_mirrors
@@ -48,7 +48,7 @@ def half_chrome(cameras, sphere_dataset):
 def halves(half_chrome, monkeypatch):
     left = half_chrome[1].gaussians.position[0].numpy() < -0.1
     right = half_chrome[1].gaussians.position[0].numpy() > 0.5
-    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [right, left])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [right, left])
     return left
 
 
@@ -97,7 +97,7 @@ def test_images_deep_in_a_ball_are_moved_onto_it(camera_ring, sphere_dataset, so
     gaussians = some_gaussians(len(points), 0)
     gaussians = replace(gaussians, position=torch.from_numpy(points.T.astype(np.float32)))
     region = np.arange(len(points)) < 2000
-    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [region])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [region])
     monkeypatch.setattr(mirror_selection, "colour_spread", lambda *_: np.where(region, 1.0, 0.1))
     dataset = sphere_dataset(camera_ring(24, 96))
     dataset = replace(dataset, train=[replace(view, alpha=np.ones(view.colour.shape[:2], np.float32)) for view in views])
@@ -125,6 +125,6 @@ def test_nothing_is_a_mirror_where_nothing_can_tell(half_chrome, halves, choice,
 
 
 def test_nothing_is_a_mirror_without_layers(half_chrome, monkeypatch):
-    monkeypatch.setattr(layered_regions, "layered_regions", lambda *_: [])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda *_: [])
     dataset, start = half_chrome
     assert select_mirrors(start, StartTrials(dataset, SETTINGS, GLOSSY), RecordedDecisions()) is start

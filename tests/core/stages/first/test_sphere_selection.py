@@ -45,7 +45,7 @@ def scene(sphere_dataset, camera_ring):
 @pytest.fixture
 def ball(monkeypatch):
     """One region of all surfels, and a ball in it."""
-    monkeypatch.setattr(sphere_selection, "layered_regions", lambda points, *_: [np.ones(len(points), bool)])
+    monkeypatch.setattr(start_trials, "layered_regions", lambda points, *_: [np.ones(len(points), bool)])
     monkeypatch.setattr(sphere_selection, "mirror_sphere", lambda *_: BALL)
 
 

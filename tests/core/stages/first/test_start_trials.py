@@ -1,6 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Trial fits of starts: their size, that each is made once, and what is reported."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -68,3 +70,14 @@ def test_what_was_given_up_is_reported(sphere_dataset, camera_ring, scene, monke
         on, evidence = progress.found["trials"]
         assert on == bool(given_up)
         assert "2 of 4" in evidence or not given_up
+
+
+def test_layered_regions_are_sought_once_for_the_same_surfels(sphere_dataset, camera_ring, some_gaussians, monkeypatch):
+    sought = []
+    monkeypatch.setattr(start_trials, "layered_regions", lambda points, *_: sought.append(points) or [np.ones(len(points), bool)])
+    trials = StartTrials(sphere_dataset(camera_ring(8, 16)), preset("draft"), GLOSSY)
+    start = Start(some_gaussians(20, 0))
+    regions = trials.layered_regions(start)
+    assert trials.layered_regions(replace(start, metal=torch.ones(20, dtype=torch.bool))) is regions and len(sought) == 1
+    trials.layered_regions(Start(some_gaussians(20, 1)))
+    assert len(sought) == 2
