@@ -74,7 +74,9 @@ class Stages:
         monkeypatch.setattr(pipeline, "UnwrapProcess", lambda mesh, texture, folder, tiles: SimpleNamespace(close=lambda: None))
         monkeypatch.setattr(pipeline, "detailed_by_dataset", lambda mesh, *_: (mesh, DetailReport(False, "stand-in")))
         monkeypatch.setattr(
-            pipeline, "fitted_textures", lambda mesh, report, plain, why, tiles: (mesh, {"size": plain, "texel": 1, "why": why})
+            pipeline,
+            "fitted_textures",
+            lambda mesh, report, plain, why, tiles: (mesh, {"tiles": tiles, "size": plain, "texel": 1, "why": why}),
         )
         monkeypatch.setattr(pipeline, "open_relighter", lambda run, reconstruction, *_: reconstruction.stage)
         monkeypatch.setattr(Reconstruction, "load", staticmethod(lambda run: Result((run / "gaussians.ply").read_text())))
