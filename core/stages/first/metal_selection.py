@@ -78,18 +78,19 @@ def unmetallic_regions(start: Start, trials: StartTrials) -> list[np.ndarray]:
     return [region for region in trials.layered_regions(start) if metal[region].mean() < MAX_METAL]
 
 
-def reason_against_metal(trials: StartTrials) -> str:
+def reason_against_metal(trials: StartTrials, *, by_trials: bool = True) -> str:
     """Return the reason why no region is tried as metal, empty where there is none.
 
     Args:
         trials: trial fits of the object.
+        by_trials: trial fits decide, which the settings may leave out.
     """
     views = trials.dataset.train
     if trials.settings.first.metal_regions == "off":
         return "as set"
     if not trials.dataset.has_alpha:
         return "not tried without masks"
-    if trials.settings.first.metal_regions == "auto" and not trials.settings.first.start_trials:
+    if by_trials and trials.settings.first.metal_regions == "auto" and not trials.settings.first.start_trials:
         return NO_TRIALS
     if not trials.material_class.split_sum:
         return "a low-gloss object has no reflections"

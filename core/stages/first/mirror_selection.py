@@ -37,7 +37,7 @@ def select_mirrors(start: Start, trials: StartTrials, progress: Progress) -> Sta
         trials: see `select_metal`; `first.metal_regions` sets this choice, too, where it is "off".
         progress: receives the decision.
     """
-    reason = reason_against_metal(trials) or ("" if start.anchors else "the start has no depths of stereo")
+    reason = reason_against_metal(trials, by_trials=False) or ("" if start.anchors else "the start has no depths of stereo")
     regions = [] if reason else unmetallic_regions(start, trials)
     if not regions:
         progress.decided("mirrors", False, reason or "no region whose points lie in several layers is left")

@@ -79,6 +79,12 @@ def test_highlights_in_gloss_change_less_than_a_mirror(half_chrome, halves, monk
     assert (found.metal is not None) == chosen
 
 
+def test_no_trial_fits_are_needed(half_chrome, halves):
+    dataset, start = half_chrome
+    settings = with_overrides(SETTINGS, ["first.start_trials=false"])
+    assert select_mirrors(start, StartTrials(dataset, settings, GLOSSY), RecordedDecisions()).metal.tolist() == halves.tolist()
+
+
 def test_known_metal_is_kept_and_not_tried_again(half_chrome, halves):
     dataset, start = half_chrome
     metal = torch.from_numpy(halves)
