@@ -39,7 +39,9 @@ class HullSurface:
 
 
 def hull_surface(start: Start, dataset: Dataset, region: np.ndarray) -> HullSurface | None:
-    """Carve the hull of a region of virtual images, and return its surface; None where the points lie on it, or hardly any is theirs.
+    """Carve the hull of a region of virtual images, and return its surface.
+
+    None where the points lie on the surface already, or where too little of it belongs to the region (MIN_COVERAGE).
 
     Args:
         start: what the first stage starts with; it has stereo's depths.

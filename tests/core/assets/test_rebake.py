@@ -1,14 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A finished run baked again: a sphere of known albedo, on its own mesh, on a new one and on an edited one."""
 
-import dataclasses
 import json
-import shutil
 
 import numpy as np
 import pytest
-import torch
 import trimesh
+from baked_sphere import albedo_at, albedo_error, tiles_on_disk, unwrapped
 from irgspp.core.assets import rebake
 from irgspp.core.assets.rebake import bake
 from irgspp.core.cli.main import main
@@ -16,75 +14,9 @@ from irgspp.core.errors import Cancelled, InputError, IrgsppError
 from irgspp.core.io.file_lock import FileLock
 from irgspp.core.machine import cpu_memory, disk_space
 from irgspp.core.progress.protocol import Silent
-from irgspp.core.run_folder import RunFolder
-from irgspp.core.scene.camera_files import save_views
-from irgspp.core.scene.dataset import Bound, View
-from irgspp.core.scene.mesh import Mesh
 from irgspp.core.scene.mesh_ply import load_mesh_ply, save_mesh_ply
-from irgspp.core.scene.reconstruction import Reconstruction
-from irgspp.core.scene.textures import load_textures, save_textures
-from irgspp.core.settings.overrides import with_overrides
-from irgspp.core.settings.schema import Settings
-from irgspp.core.stages.first.initialization import surfels
+from irgspp.core.scene.textures import load_textures
 from irgspp.core.surface.mesh_texels import mesh_texels
-from PIL import Image
-
-SETTINGS = with_overrides(Settings(), ["surface.voxels=40", "surface.triangles=1500", "surface.texture=64"])
-
-
-def albedo_at(points):
-    """Return the albedo (P, 3) at points (P, 3): reddish above, bluish below."""
-    share = 1 / (1 + np.exp(-6 * points[:, 2:] / np.linalg.norm(points, axis=-1, keepdims=True)))
-    return 0.2 + 0.5 * np.concatenate([share, 0 * share + 0.4, 1 - share], -1)
-
-
-def ball(count=12_000):
-    z, angle = 1 - 2 * (np.arange(count) + 0.5) / count, np.arange(count) * 2.39996322972865
-    normal = np.stack([np.sqrt(1 - z**2) * np.cos(angle), np.sqrt(1 - z**2) * np.sin(angle), z], -1)
-    gaussians = surfels(normal, normal, np.full((count, 3), 0.5), np.full(count, np.sqrt(4 * np.pi / count)), 0.99)
-    values = np.concatenate([albedo_at(normal), np.full((count, 1), 0.6), np.full((count, 1), 0.01)], -1)
-    gaussians.material = torch.logit(torch.from_numpy(values.T.copy()).float())
-    return Reconstruction(gaussians, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.3), np.eye(4))
-
-
-def unwrapped(scale=1.0):
-    """Return the sphere as a mesh with a UV map of longitude and latitude, split along the seam."""
-    v, u = np.meshgrid(np.linspace(0.02, 0.98, 17), np.linspace(0, 1, 33), indexing="ij")
-    theta, phi = (1 - v) * np.pi, u * 2 * np.pi
-    normal = np.stack([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)], -1).reshape(-1, 3).astype(np.float32)
-    a = (np.arange(16)[:, None] * 33 + np.arange(32)).reshape(-1)
-    faces = np.concatenate([np.stack([a, a + 1, a + 34], -1), np.stack([a, a + 34, a + 33], -1)]).astype(np.int32)
-    n = len(normal)
-    grey, half = np.full((n, 3), 0.5, np.float32), np.full(n, 0.5, np.float32)
-    uvs = np.stack([u, v], -1).reshape(-1, 2).astype(np.float32)
-    textures = {name: np.zeros((8, 8), np.uint8) for name in ("roughness", "metallic")}
-    return Mesh(scale * normal, normal, uvs, faces, grey, half, half, textures)
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory, camera_ring):
-    folder = RunFolder.open(tmp_path_factory.mktemp("finished") / "run", SETTINGS, "nowhere")
-    with folder.job():
-        ball().save(folder.path)
-        save_mesh_ply(unwrapped(), folder.path / "mesh.ply")
-        save_textures(unwrapped().textures, folder.path / "textures")
-        views = [View(str(i), camera, folder.path / "none.png", np.empty((0, 0, 3)), None) for i, camera in enumerate(camera_ring(14))]
-        save_views(folder.path / "cameras.json", [("train", view) for view in views[:-1]] + [("test", views[-1])])
-    folder.close()
-    return folder.path
-
-
-@pytest.fixture
-def run(finished, tmp_path):
-    return shutil.copytree(finished, tmp_path / "run")
-
-
-def albedo_error(run):
-    """Return the mean difference between the albedo texture and the true albedo at each texel, linear."""
-    mesh, texture = load_mesh_ply(run / "mesh.ply"), load_textures(run / "textures")["albedo"] / 255.0
-    texels = mesh_texels(mesh.vertices, mesh.uvs, mesh.faces, len(texture))
-    linear = np.where(texture <= 0.04045, texture / 12.92, ((texture + 0.055) / 1.055) ** 2.4).reshape(-1, 3)[texels.index]
-    return np.abs(linear - albedo_at(texels.interpolate(mesh.vertices, mesh.faces))).mean()
 
 
 def test_size_changes_the_images_and_nothing_else(run):
@@ -302,60 +234,3 @@ def test_run_in_use_or_unfinished_is_left_alone(run):
     (run / "run.json").write_text(json.dumps({**state, "status": "running"}))
     with pytest.raises(InputError, match="not a finished run"):
         bake(run, Silent())
-
-
-def tiles_on_disk(run):
-    return sorted(path.name for path in (run / "textures" / "udim").glob("albedo.*.png"))
-
-
-def test_tiles_are_baked_resized_and_dropped_again(run):
-    before = load_mesh_ply(run / "mesh.ply")
-    bake(run, Silent(), size=128, udim=2)
-    mesh, whole = load_mesh_ply(run / "mesh.ply"), load_textures(run / "textures")
-    assert {len(texture) for texture in whole.values()} == {256} and albedo_error(run) < 0.01  # one image of all tiles
-    assert mesh.uvs.min() > 0 and mesh.uvs.max() < 1 and len(mesh.faces) == len(before.faces)
-    assert {tuple(v) for v in mesh.vertices.tolist()} == {tuple(v) for v in before.vertices.tolist()}  # the shape stays
-    assert tiles_on_disk(run) == [f"albedo.{number}.png" for number in (1001, 1002, 1011, 1012)]
-    tile = load_textures(run / "textures" / "udim")  # no file without a number
-    assert not tile
-    state = json.loads((run / "run.json").read_text())["textures"]
-    assert (state["tiles"], state["size"], state["baked"]) == (2, 128, 128)
-    bake(run, Silent(), size=32)  # made from the bake: tiles of 32 texels
-    assert load_mesh_ply(run / "mesh.ply").uvs.tolist() == mesh.uvs.tolist()
-    assert {len(texture) for texture in load_textures(run / "textures").values()} == {64} and albedo_error(run) < 0.02
-    assert not (run / "textures" / "baked" / "udim").exists() and len(tiles_on_disk(run)) == 4
-    bake(run, Silent(), size=128)
-    again = load_textures(run / "textures")
-    assert all(np.array_equal(again[name], whole[name]) for name in whole)
-    bake(run, Silent(), udim=1)
-    assert not (run / "textures" / "udim").exists() and len(load_textures(run / "textures")["albedo"]) == 128
-    assert json.loads((run / "run.json").read_text())["textures"]["tiles"] == 1
-
-
-def test_tile_files_are_parts_of_the_one_image(run):
-    bake(run, Silent(), size=64, udim=3)
-    whole, folder = load_textures(run / "textures")["albedo"], run / "textures" / "udim"
-    for row in range(3):
-        for column in range(3):
-            tile = np.asarray(Image.open(folder / f"albedo.{1001 + column + 10 * row}.png"))
-            np.testing.assert_array_equal(tile, whole[64 * (2 - row) : 64 * (3 - row), 64 * column : 64 * (column + 1)])
-
-
-def test_uvs_of_an_edited_mesh_decide_on_its_tiles(run, tmp_path):
-    mesh = unwrapped()
-    save_mesh_ply(dataclasses.replace(mesh, uvs=2 * mesh.uvs), tmp_path / "edited.ply")
-    with pytest.raises(InputError, match=r"--udim: 3 asks for other tiles than the UVs of .* have, which lie in 2 x 2; leave it out"):
-        bake(run, Silent(), edited=tmp_path / "edited.ply", udim=3)
-    bake(run, Silent(), size=64, edited=tmp_path / "edited.ply")
-    assert len(load_textures(run / "textures")["albedo"]) == 128 and len(tiles_on_disk(run)) == 4
-    assert albedo_error(run) < 0.015
-    np.testing.assert_allclose(np.sort(load_mesh_ply(run / "mesh.ply").uvs, 0), np.sort(mesh.uvs, 0), atol=1e-6)
-
-
-def test_tiles_that_are_too_large_together_are_refused(run, monkeypatch, capsys):
-    assert main(["bake", str(run), "--size", "8k", "--udim", "4"]) == 2
-    assert "4 x 4 tiles of 8192 texels are more than 16384 texels along a side; choose fewer tiles" in capsys.readouterr().err
-    monkeypatch.setattr(cpu_memory, "free_memory", lambda: cpu_memory.FreeMemory(1 << 30, "free on this machine"))
-    assert main(["bake", str(run), "--size", "4k", "--udim", "2"]) == 2
-    assert "textures of 8192 texels need about" in capsys.readouterr().err
-    assert not (run / "textures" / "udim").exists()
