@@ -18,7 +18,8 @@ from ...scene.dataset import Dataset
 from ...stereo.depth_map import DepthMap
 from ...stereo.settings import StereoSettings
 from .depth_evidence import DepthEvidence
-from .stereo_initialization import COMPARED_VIEWS, MIN_SUPPORT_MASKED
+from .stereo_initialization import COMPARED_VIEWS
+from .stereo_start import MIN_SUPPORT_MASKED
 
 MAX_ERROR_RATIO = 0.8  # reprojection error at stereo's depth over that at the surfels', below which stereo's is taken
 MIN_PARALLAX = 1.0  # pixels of parallax between the two depths of a region, from which they differ by more than noise

@@ -13,12 +13,15 @@ from .depth_anchors import DepthAnchors
 from .material_class import METAL, MaterialClass
 from .start import Start
 from .start_trials import StartTrials
-from .stereo_initialization import StereoStart, from_stereo
+from .stereo_initialization import from_stereo
+from .stereo_start import StereoStart
 from .trial_fits import MIN_HOLD_BACK_VIEWS
 
 # PSNR in dB on held-back views by which a trial fit with open gaps must be better: more than noise. A pine cone gains .8, a watering can
 # and a plain cup .5; a box with stones .14, a toy car .1, suzanne_mixed and rocker_corner nothing.
 OPEN_MARGIN = 0.2
+# Likewise of a vessel; a watering can gains 1.5, a plain cup, whose inside stereo finds, nothing.
+VESSEL_MARGIN = 0.5
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
 
@@ -27,8 +30,8 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
 
     Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them; without
     masks, the sparse points with stereo's, which must be better by `first.stereo_margin` dB. With masks, the better one is then compared
-    with itself with open gaps; with `first.start_trials` off, all of stereo's points are taken, with closed gaps. A metal keeps the plain
-    start, since stereo sees the depth of its reflections.
+    with itself with open gaps and as a vessel; with `first.start_trials` off, all of stereo's points are taken, with closed gaps. A metal
+    keeps the plain start, since stereo sees the depth of its reflections.
 
     Args:
         plain: Gaussians on the hull, or on the sparse points and at random.
@@ -57,30 +60,35 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
         progress.phase("start", settings.first.trial_iterations)
         score = trials.compare(starts if dataset.has_alpha else {name: hull} | starts, progress, may_give_up=True)
     best = max(found, key=lambda one: score[one.name]) if score else found[-1]
-    if tried and best.opened is not None and (opened := best.opened()) is not None:
-        best = _opened_where_better(best, opened, starts, score, trials, progress)
+    if tried:
+        best = _hollow_where_better(best, starts, score, trials, progress)
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))
     return starts[best.name] if on else hull
 
 
-def _opened_where_better(
-    best: StereoStart, opened: StereoStart, starts: dict[str, Start], score: dict[str, float], trials: StartTrials, progress: Progress
+def _hollow_where_better(
+    best: StereoStart, starts: dict[str, Start], score: dict[str, float], trials: StartTrials, progress: Progress
 ) -> StereoStart:
-    """Return a start with its gaps open, where a trial fit from it predicts held-back views better by OPEN_MARGIN; otherwise the start.
+    """Return a start with its gaps open or as a vessel, where a trial fit from it predicts held-back views better; otherwise the start.
 
     Args:
         best: the start.
-        opened: the same with open gaps.
-        starts: starts by name; the tried one is added.
-        score: PSNR of their trial fits in dB, by name; those of the two are added.
+        starts: starts by name; those tried are added.
+        score: PSNR of their trial fits in dB, by name; those of these are added.
         trials: trial fits of the object.
         progress: receives steps, and may cancel.
     """
-    starts[opened.name] = _start(opened, trials, starts[best.name].gaussians.position.device)
+    makers = (best.opened, OPEN_MARGIN), (best.vessel, VESSEL_MARGIN)
+    hollow = [(made, margin) for maker, margin in makers if maker is not None and (made := maker()) is not None]
+    if not hollow:
+        return best
+    device = starts[best.name].gaussians.position.device
+    starts |= {one.name: _start(one, trials, device) for one, _ in hollow}
     progress.phase("gaps", trials.settings.first.trial_iterations)
-    score |= trials.compare({name: starts[name] for name in (best.name, opened.name)}, progress, may_give_up=True)
-    return opened if score[opened.name] > score[best.name] + OPEN_MARGIN else best
+    score |= trials.compare({one.name: starts[one.name] for one in (best, *(one for one, _ in hollow))}, progress, may_give_up=True)
+    better = [one for one, margin in hollow if score[one.name] > score[best.name] + margin]
+    return max(better, key=lambda one: score[one.name], default=best)
 
 
 def _start(found: StereoStart, trials: StartTrials, device: torch.device) -> Start:
