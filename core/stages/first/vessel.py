@@ -19,10 +19,12 @@ from .vessel_mouths import vessel_mouths
 from .visual_hull import VisualHull
 
 THICKNESSES = (0.035, 0.05, 0.07, 0.1)  # of a wall that are tried, radii of the bound
-# Stereo's depth behind a mouth, median, in units of that of the inside at the first thickness, from which it is a mouth. A watering can
-# and a plain cup have .88 and .91, a crate with apples .57, the compartments of a shelf .23 to .65, a part in a corner .57, walls of these
-# objects and all of suzanne_mixed, spot_rough, a basket and a plate at most .35.
-MIN_RELATIVE_DEPTH = 0.75
+UNKNOWN_THICKNESS = 0.05  # where stereo's depths do not tell it
+# Stereo's depth behind a mouth, median, in units of that of the inside at the first thickness, from which it may be a mouth. A watering
+# can, a plain cup and a mug have .88, .91 and .. ; a glossy bowl, whose reflections mislead stereo, .46; a crate with apples .57, the
+# compartments of a shelf .23 to .65, a part in a corner .57, which trial fits refuse; walls and undersides at most .35.
+MIN_RELATIVE_DEPTH = 0.4
+MIN_TELLING_DEPTH = 0.75  # likewise, from which it tells the wall's thickness
 PROBED_VIEWS = 3  # every so-manieth view is compared
 MIN_HOLLOW_DEPTH = 0.08  # radii of the bound by which the inside must lie behind the hull at a pixel for it to be compared
 MARGIN = 0.01  # radii of the bound behind the inside's surface up to which a point is on it
@@ -125,8 +127,11 @@ def find_vessel(
             mouth |= one
     if not mouth.any():
         return None
-    vessels = [_vessel(hull, points, mouth, thickness, radius) for thickness in THICKNESSES]
-    return min((one for one in vessels if one is not None), key=lambda one: abs(_relative_depth(one, *probed) - 1))
+    vessels = [one for thickness in THICKNESSES if (one := _vessel(hull, points, mouth, thickness, radius)) is not None]
+    depths = {one: _relative_depth(one, *probed) for one in vessels}
+    if max(depths.values()) < MIN_TELLING_DEPTH:
+        return min(vessels, key=lambda one: abs(one.thickness - UNKNOWN_THICKNESS * radius))
+    return min(vessels, key=lambda one: abs(depths[one] - 1))
 
 
 def _vessel(hull: VisualHull, points: np.ndarray, mouth: np.ndarray, thickness: float, radius: float) -> Vessel | None:

@@ -8,7 +8,7 @@ import pytest
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.stages.first import stereo_initialization
 from irgspp.core.stages.first.stereo_initialization import from_stereo, hull_bounds
-from irgspp.core.stages.first.vessel import THICKNESSES, find_vessel
+from irgspp.core.stages.first.vessel import THICKNESSES, UNKNOWN_THICKNESS, find_vessel
 from irgspp.core.stages.first.vessel_mouths import vessel_mouths
 from irgspp.core.stages.first.visual_hull import visual_hull
 from open_bowl import RIM, bowl, bowl_depth, guessed_inside
@@ -74,9 +74,14 @@ def test_points_in_the_hollow_and_of_the_outside_are_told_apart(dataset, hull, s
     assert vessel.faces_wall(outside[None], outwards).tolist() == [False]
 
 
-@pytest.mark.parametrize("part", [0.0, 0.5])
-def test_depths_at_the_hull_or_halfway_are_no_vessel(dataset, hull, surface, hull_depth, part):
+@pytest.mark.parametrize("part", [0.0, 0.25])
+def test_depths_near_the_hull_are_no_vessel(dataset, hull, surface, hull_depth, part):
     assert found(dataset, hull, surface, hull_depth, part) is None
+
+
+def test_depths_halfway_tell_a_mouth_but_not_the_thickness(dataset, hull, surface, hull_depth):
+    vessel = found(dataset, hull, surface, hull_depth, 0.55)
+    assert vessel.thickness == pytest.approx(UNKNOWN_THICKNESS * dataset.bound.radius)
 
 
 def test_a_hole_in_a_mouth_is_filled(dataset, surface, hull_depth):
