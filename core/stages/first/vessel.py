@@ -25,7 +25,7 @@ UNKNOWN_THICKNESS = 0.05  # where stereo's depths do not tell it
 # apples and a part in a corner .57, the compartments of a shelf .23 to .65, which trial fits refuse; walls and undersides at most .35.
 MIN_RELATIVE_DEPTH = 0.4
 MIN_TELLING_DEPTH = 0.75  # likewise, from which it tells the wall's thickness
-PROBED_VIEWS = 3  # every so-manieth view is compared
+PROBED_VIEWS = 6  # every so-manieth view is compared
 MIN_HOLLOW_DEPTH = 0.08  # radii of the bound by which the inside must lie behind the hull at a pixel for it to be compared
 MARGIN = 0.01  # radii of the bound behind the inside's surface up to which a point is on it
 BLUR_VOXELS = 0.7  # standard deviation of the blur of the inside's surface
@@ -166,7 +166,7 @@ def _vessel(hull: VisualHull, points: np.ndarray, mouth: np.ndarray, thickness: 
 def _relative_depth(vessel: Vessel, maps: Sequence[DepthMap], hull_depth: Sequence[np.ndarray]) -> float:
     """Return how deep stereo's depths lie in the hollow, median: 0 at the mouth, 1 at the inside's surface; 0 where no view shows it."""
     ways = []
-    for one, mouth, (inside, _) in zip(maps, hull_depth, vessel.hull.depths([one.camera for one in maps]), strict=True):
+    for one, mouth, inside in zip(maps, hull_depth, vessel.hull.entries([one.camera for one in maps]), strict=True):
         shown = (inside > mouth + MIN_HOLLOW_DEPTH * vessel.radius) & (mouth > 0) & (one.depth > 0)
         ways.append((one.depth[shown] - mouth[shown]) / (inside[shown] - mouth[shown]))
     found = np.concatenate(ways)

@@ -57,13 +57,18 @@ def _parts(points: np.ndarray, reach: float) -> list[np.ndarray]:
 
 def _whole(part: np.ndarray, points: np.ndarray, normals: np.ndarray, radius: float) -> np.ndarray:
     """Return the mask (M,) of a part of the hull's points, indices (K,), with its holes filled and grown to the rim."""
-    distance, nearest = KDTree(points[part]).query(points, workers=-1)
-    wide = distance <= CLOSING * radius
-    mask = np.zeros(len(points), bool)
-    mask[part] = True
+    closing, growth = CLOSING * radius, RIM_STEP * radius
+    distance, nearest = KDTree(points[part]).query(points, distance_upper_bound=max(closing, RIM_STEPS * growth), workers=-1)
+    nearest = np.asarray(nearest)
+    near = np.flatnonzero(nearest < len(part))  # KDTree gives K for none
+    places, wide = points[near], distance[near] <= closing
+    mask = np.zeros(len(near), bool)
+    mask[np.searchsorted(near, part)] = True
     if not wide.all():
-        mask |= wide & (KDTree(points[~wide]).query(points, workers=-1)[0] > CLOSING * radius)
-    flat = (normals * normals[part[nearest]]).sum(1) > MIN_RIM_COSINE
+        mask |= wide & (KDTree(places[~wide]).query(places, distance_upper_bound=closing, workers=-1)[0] > closing)
+    flat = (normals[near] * normals[part[nearest[near]]]).sum(1) > MIN_RIM_COSINE
     for _ in range(RIM_STEPS):
-        mask |= flat & (KDTree(points[mask]).query(points, workers=-1)[0] <= RIM_STEP * radius)
-    return mask
+        mask |= flat & (KDTree(places[mask]).query(places, distance_upper_bound=growth, workers=-1)[0] <= growth)
+    whole = np.zeros(len(points), bool)
+    whole[near[mask]] = True
+    return whole

@@ -99,6 +99,11 @@ class VisualHull:
         far = 2 * max(float(np.linalg.norm(camera.centre - self.corner)) for camera in cameras) + sum(self.inside.shape) * self.step
         return [(_hit(tracer, camera, 0.0), far - _hit(tracer, camera, far, missed=far)) for camera in cameras]
 
+    def entries(self, cameras: Sequence[Camera]) -> list[np.ndarray]:
+        """Return the planar depths (H, W) float32 at which each camera's rays enter the hull; 0 where they miss it."""
+        tracer = TriangleTracer(self.triangles())
+        return [_hit(tracer, camera, 0.0) for camera in cameras]
+
 
 def _hit(tracer: TriangleTracer, camera: Camera, start: float, missed: float = 0.0) -> np.ndarray:
     """Return the distance (H, W) along the rays, in depth, to the first hit; from depth `start` backwards where it is above 0."""
