@@ -25,7 +25,7 @@ UNKNOWN_THICKNESS = 0.05  # where stereo's depths do not tell it
 # apples and a part in a corner .57, the compartments of a shelf .23 to .65, which trial fits refuse; walls and undersides at most .35.
 MIN_RELATIVE_DEPTH = 0.4
 MIN_TELLING_DEPTH = 0.75  # likewise, from which it tells the wall's thickness
-PROBED_VIEWS = 6  # every so-manieth view is compared
+PROBED_VIEWS = 6  # one view of so many is compared
 MIN_HOLLOW_DEPTH = 0.08  # radii of the bound by which the inside must lie behind the hull at a pixel for it to be compared
 MARGIN = 0.01  # radii of the bound behind the inside's surface up to which a point is on it
 BLUR_VOXELS = 0.7  # standard deviation of the blur of the inside's surface
