@@ -144,18 +144,11 @@ def _vessel(hull: VisualHull, points: np.ndarray, mouth: np.ndarray, thickness: 
         thickness: of the wall, radii of the bound.
         radius: of the bound, world units.
     """
-    solid = hull.inside > 0.5
-    padded = np.pad(solid, 1)
-    cells = np.argwhere(np.asarray(binary_dilation(padded, np.ones((3, 3, 3))), bool) & ~padded)  # just outside, corners included
-    closing = mouth[np.asarray(KDTree(points).query(hull.corner + (cells - 1) * hull.step, workers=-1)[1])]
-    outside, opening = np.zeros_like(padded), np.zeros_like(padded)
-    outside[tuple(cells[~closing].T)], opening[tuple(cells[closing].T)] = True, True
-    within = slice(1, -1), slice(1, -1), slice(1, -1)
-    depth = (np.asarray(distance_transform_edt(~outside)) * hull.step)[within].astype(np.float32)
-    parts = np.asarray(label(solid & (depth > thickness * radius))[0])  # pyright: ignore[reportIndexIssue]
-    reached = np.unique(parts[np.asarray(binary_dilation(opening), bool)[within]])
+    depth, opening = _depth_behind_outside(hull, points, mouth)
+    parts = np.asarray(label((hull.inside > 0.5) & (depth > thickness * radius))[0])  # pyright: ignore[reportIndexIssue]
+    reached = np.unique(parts[opening])
     hollow = np.isin(parts, reached[reached > 0])
-    if not hollow.any():
+    if mouth.all() or not hollow.any():
         return None
     emptied = gaussian_filter(np.where(hollow, 0, np.minimum(hull.inside, 1)), BLUR_VOXELS)
     around = np.asarray(binary_dilation(hollow, iterations=REACH_VOXELS), bool)
@@ -163,11 +156,32 @@ def _vessel(hull: VisualHull, points: np.ndarray, mouth: np.ndarray, thickness: 
     return Vessel(VisualHull(inside, hull.corner, hull.step), hollow, depth, thickness * radius, mouth, points[mouth], radius)
 
 
+def _depth_behind_outside(hull: VisualHull, points: np.ndarray, mouth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Measure how deep each voxel lies behind the hull's surface where that closes no mouth.
+
+    Args:
+        hull: voxels of the visual hull.
+        points: (M, 3) of its surface.
+        mouth: (M,) True for those that close a mouth.
+
+    Returns:
+        (X, Y, Z) float32 distances, world units; (X, Y, Z) True for voxels at the mouth.
+    """
+    solid = np.pad(hull.inside > 0.5, 1)
+    cells = np.argwhere(np.asarray(binary_dilation(solid, np.ones((3, 3, 3))), bool) & ~solid)  # just outside, corners included
+    closing = mouth[np.asarray(KDTree(points).query(hull.corner + (cells - 1) * hull.step, workers=-1)[1])]
+    outside, opening = np.zeros_like(solid), np.zeros_like(solid)
+    outside[tuple(cells[~closing].T)], opening[tuple(cells[closing].T)] = True, True
+    within = slice(1, -1), slice(1, -1), slice(1, -1)
+    distance = np.asarray(distance_transform_edt(~outside)) * hull.step
+    return distance[within].astype(np.float32), np.asarray(binary_dilation(opening), bool)[within]
+
+
 def _relative_depth(vessel: Vessel, maps: Sequence[DepthMap], hull_depth: Sequence[np.ndarray]) -> float:
     """Return how deep stereo's depths lie in the hollow, median: 0 at the mouth, 1 at the inside's surface; 0 where no view shows it."""
-    ways = []
+    relative = []
     for one, mouth, inside in zip(maps, hull_depth, vessel.hull.entries([one.camera for one in maps]), strict=True):
         shown = (inside > mouth + MIN_HOLLOW_DEPTH * vessel.radius) & (mouth > 0) & (one.depth > 0)
-        ways.append((one.depth[shown] - mouth[shown]) / (inside[shown] - mouth[shown]))
-    found = np.concatenate(ways)
+        relative.append((one.depth[shown] - mouth[shown]) / (inside[shown] - mouth[shown]))
+    found = np.concatenate(relative)
     return float(np.median(found)) if len(found) else 0.0

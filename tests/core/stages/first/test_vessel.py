@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.stages.first import stereo_initialization
+from irgspp.core.stages.first import vessel as vessel_module
 from irgspp.core.stages.first.stereo_initialization import from_stereo, hull_bounds
 from irgspp.core.stages.first.vessel import THICKNESSES, UNKNOWN_THICKNESS, find_vessel
 from irgspp.core.stages.first.vessel_mouths import vessel_mouths
@@ -82,6 +83,11 @@ def test_depths_near_the_hull_are_no_vessel(dataset, hull, surface, hull_depth, 
 def test_depths_halfway_tell_a_mouth_but_not_the_thickness(dataset, hull, surface, hull_depth):
     vessel = found(dataset, hull, surface, hull_depth, 0.55)
     assert vessel.thickness == pytest.approx(UNKNOWN_THICKNESS * dataset.bound.radius)
+
+
+def test_where_all_of_the_hull_is_looked_through_there_is_no_vessel(hull, surface, hull_depth, dataset, monkeypatch):
+    monkeypatch.setattr(vessel_module, "vessel_mouths", lambda points, *_: [np.ones(len(points), bool)])
+    assert found(dataset, hull, surface, hull_depth, 1.0) is None
 
 
 def test_a_hole_in_a_mouth_is_filled(dataset, surface, hull_depth):
