@@ -26,7 +26,6 @@ MIN_SUPPORT_IN_GAPS = 2  # with masks, of points in gaps: 80 % of them are right
 # suzanne_mixed's (5). Whole jobs: .7 costs the cup's albedo, relit images and new views .2 dB each against .8.
 GUESSED_SHARE_THROUGH = 0.8
 MIN_OPENED = 0.02  # share of the hull's points that open gaps leave out, below which they make no difference
-
 # Of the views that see or look through a point in a vessel's hollow, share from which nothing is there. Reflections in a glossy bowl have
 # .43 to .63 (quartiles); with .4 in place of .7 its trial fit gains .2 dB, a box with a ball loses .2 dB.
 SHARE_THROUGH_CONTENTS = 0.5

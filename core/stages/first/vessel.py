@@ -122,29 +122,33 @@ def find_vessel(
     probed = maps[::PROBED_VIEWS], hull_depth[::PROBED_VIEWS]
     mouth = np.zeros(len(points), bool)
     for one in vessel_mouths(*surface, maps, hull_depth, radius):
-        vessel = _vessel(hull, points, one, THICKNESSES[0], radius)
+        vessel = _vessel(hull, points, one, _depth_behind_outside(hull, points, one), THICKNESSES[0], radius)
         if vessel is not None and _relative_depth(vessel, *probed) >= MIN_RELATIVE_DEPTH:
             mouth |= one
     if not mouth.any():
         return None
-    vessels = [one for thickness in THICKNESSES if (one := _vessel(hull, points, mouth, thickness, radius)) is not None]
+    measured = _depth_behind_outside(hull, points, mouth)
+    vessels = [one for thickness in THICKNESSES if (one := _vessel(hull, points, mouth, measured, thickness, radius)) is not None]
     depths = {one: _relative_depth(one, *probed) for one in vessels}
     if max(depths.values()) < MIN_TELLING_DEPTH:
         return min(vessels, key=lambda one: abs(one.thickness - UNKNOWN_THICKNESS * radius))
     return min(vessels, key=lambda one: abs(depths[one] - 1))
 
 
-def _vessel(hull: VisualHull, points: np.ndarray, mouth: np.ndarray, thickness: float, radius: float) -> Vessel | None:
+def _vessel(
+    hull: VisualHull, points: np.ndarray, mouth: np.ndarray, measured: tuple[np.ndarray, np.ndarray], thickness: float, radius: float
+) -> Vessel | None:
     """Return the vessel with a mouth and a thickness in radii of the bound; None where no hollow is left behind the mouth.
 
     Args:
         hull: voxels of the visual hull.
         points: (M, 3) of its surface.
         mouth: (M,) True for those that close the mouth.
+        measured: depths and voxels at the mouth, of `_depth_behind_outside`.
         thickness: of the wall, radii of the bound.
         radius: of the bound, world units.
     """
-    depth, opening = _depth_behind_outside(hull, points, mouth)
+    depth, opening = measured
     parts = np.asarray(label((hull.inside > 0.5) & (depth > thickness * radius))[0])  # pyright: ignore[reportIndexIssue]
     reached = np.unique(parts[opening])
     hollow = np.isin(parts, reached[reached > 0])
