@@ -16,6 +16,7 @@ from .start_trials import StartTrials
 from .stereo_initialization import from_stereo
 from .stereo_start import StereoStart
 from .trial_fits import MIN_HOLD_BACK_VIEWS
+from .vessel import MIN_RELATIVE_DEPTH, MIN_TELLING_DEPTH
 
 # PSNR in dB on held-back views by which a trial fit with open gaps, or as a vessel, must be better: more than noise. With open gaps, a
 # pine cone gains .8, a watering can and a plain cup .5; a box with stones .14, a toy car .1, suzanne_mixed and rocker_corner nothing. As
@@ -30,8 +31,8 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
 
     Trial fits compare the starts on held-back views (`from_stereo`): with masks, stereo's points by regions with all of them; without
     masks, the sparse points with stereo's, which must be better by `first.stereo_margin` dB. With masks, the better one is then compared
-    with itself with open gaps and as a vessel; with `first.start_trials` off, all of stereo's points are taken, with closed gaps. A metal
-    keeps the plain start, since stereo sees the depth of its reflections.
+    with itself with open gaps and as a vessel. With `first.start_trials` off, all of stereo's points are taken, with closed gaps, or as a
+    vessel where stereo's depths tell it without a trial. A metal keeps the plain start, since stereo sees the depth of its reflections.
 
     Args:
         plain: Gaussians on the hull, or on the sparse points and at random.
@@ -62,6 +63,8 @@ def select_start(plain: Gaussians, trials: StartTrials, progress: Progress) -> S
     best = max(found, key=lambda one: score[one.name]) if score else found[-1]
     if tried:
         best = _hollow_where_better(best, starts, score, trials, progress)
+    elif choice != "on":
+        best = _vessel_where_told(best, starts, trials)
     on = name not in score or score[best.name] > score[name] + settings.first.stereo_margin
     progress.decided("stereo", on, "as set" if choice == "on" else _in_words(best, score))
     return starts[best.name] if on else hull
@@ -79,7 +82,9 @@ def _hollow_where_better(
         trials: trial fits of the object.
         progress: receives steps, and may cancel.
     """
-    hollow = [made for maker in (best.opened, best.vessel) if maker is not None and (made := maker()) is not None]
+    opened = best.opened() if best.opened is not None else None
+    vessel = best.vessel(MIN_RELATIVE_DEPTH) if best.vessel is not None else None
+    hollow = [made for made in (opened, vessel) if made is not None]
     if not hollow:
         return best
     device = starts[best.name].gaussians.position.device
@@ -88,6 +93,21 @@ def _hollow_where_better(
     score |= trials.compare({one.name: starts[one.name] for one in (best, *hollow)}, progress, may_give_up=True)
     better = max(hollow, key=lambda one: score[one.name])
     return better if score[better.name] > score[best.name] + HOLLOW_MARGIN else best
+
+
+def _vessel_where_told(best: StereoStart, starts: dict[str, Start], trials: StartTrials) -> StereoStart:
+    """Return a start as a vessel, where stereo's depths behind the mouth tell it without a trial fit; otherwise the start.
+
+    Args:
+        best: the start.
+        starts: starts by name; the vessel is added.
+        trials: trial fits of the object.
+    """
+    vessel = best.vessel(MIN_TELLING_DEPTH) if best.vessel is not None else None
+    if vessel is None:
+        return best
+    starts[vessel.name] = _start(vessel, trials, starts[best.name].gaussians.position.device)
+    return vessel
 
 
 def _start(found: StereoStart, trials: StartTrials, device: torch.device) -> Start:

@@ -32,7 +32,8 @@ class StereoStart:
         share: fraction of them that lie on stereo's points.
         maps: depth map of each training view.
         opened: makes the same start with open gaps, see `MaskedStarts`, or None where it is almost the same; None without masks.
-        vessel: makes the same start with a vessel's hollow, see `MaskedStarts`, or None where there is none; None without masks.
+        vessel: makes the same start with the hollow of a vessel whose mouths have at least a relative depth, see `find_vessel`, or None
+            where there is none; None without masks.
     """
 
     name: str
@@ -40,7 +41,7 @@ class StereoStart:
     share: float
     maps: list[DepthMap]
     opened: Callable[[], StereoStart | None] | None = None
-    vessel: Callable[[], StereoStart | None] | None = None
+    vessel: Callable[[float], StereoStart | None] | None = None
 
 
 @dataclass(frozen=True, eq=False)

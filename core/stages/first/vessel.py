@@ -105,6 +105,7 @@ def find_vessel(
     maps: Sequence[DepthMap],
     hull_depth: Sequence[np.ndarray],
     radius: float,
+    least_depth: float = MIN_RELATIVE_DEPTH,
 ) -> Vessel | None:
     """Find the mouths of a vessel, and the thickness of its wall at which stereo's guesses lie nearest to the inside.
 
@@ -114,6 +115,7 @@ def find_vessel(
         maps: depth maps of stereo.
         hull_depth: (H, W) depth of the hull in the same views.
         radius: of the bound, world units.
+        least_depth: relative depth from which a part of the hull is a mouth.
 
     Returns:
         The vessel; None where no part of the hull is a mouth.
@@ -123,7 +125,7 @@ def find_vessel(
     mouth = np.zeros(len(points), bool)
     for one in vessel_mouths(*surface, maps, hull_depth, radius):
         vessel = _vessel(hull, points, one, _depth_behind_outside(hull, points, one), THICKNESSES[0], radius)
-        if vessel is not None and _relative_depth(vessel, *probed) >= MIN_RELATIVE_DEPTH:
+        if vessel is not None and _relative_depth(vessel, *probed) >= least_depth:
             mouth |= one
     if not mouth.any():
         return None

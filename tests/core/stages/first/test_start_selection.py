@@ -60,7 +60,7 @@ def test_gaps_of_the_better_start_are_open_where_that_differs_and_held_back_view
 @pytest.mark.parametrize(("opened", "vessel", "size"), [(30.3, 30.4, 4), (30.7, 30.6, 3), (30.1, 30.1, 2), (None, 30.6, 4)])
 def test_the_better_of_open_gaps_and_a_vessel_is_taken(scene, psnr, monkeypatch, opened, vessel, size):
     made = {count: StereoStart(f"{count}", scene[1].select(torch.arange(count)), 0.5, []) for count in (3, 4)}
-    closed = StereoStart("2", scene[1].select(torch.arange(2)), 0.5, [], lambda: made[3] if opened else None, lambda: made[4])
+    closed = StereoStart("2", scene[1].select(torch.arange(2)), 0.5, [], lambda: made[3] if opened else None, lambda _: made[4])
     monkeypatch.setattr(start_selection, "from_stereo", lambda *_, everywhere: [closed])
     psnr |= {"2": 30.0, "3": opened, "4": vessel}
     assert start_selection.select_start(scene[1], StartTrials(scene[0], SETTINGS, LOW_GLOSS), RecordedDecisions()).gaussians.count == size
@@ -79,6 +79,17 @@ def test_stereo_as_set_takes_all_of_its_points_without_a_trial(scene, psnr):
     settings = with_overrides(SETTINGS, ["first.stereo=on"])
     assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == 2
     assert progress.found["stereo"] == (True, "as set")
+
+
+@pytest.mark.parametrize(("told", "size"), [(True, 3), (False, 2)])
+def test_without_trials_a_vessel_is_taken_where_depths_tell_it(scene, monkeypatch, told, size):
+    vessel = StereoStart("vessel", scene[1].select(torch.arange(3)), 0.5, [])
+    closed = StereoStart("closed", scene[1].select(torch.arange(2)), 0.5, [], None, lambda least: vessel if told and least > 0.7 else None)
+    monkeypatch.setattr(start_selection, "from_stereo", lambda *_, everywhere: [closed])
+    monkeypatch.setattr(StartTrials, "compare", lambda *_, **__: pytest.fail("a trial was run"))
+    progress, settings = RecordedDecisions(), with_overrides(SETTINGS, ["first.start_trials=false"])
+    assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == size
+    assert progress.found["stereo"][1].startswith("50.0% of the surfels of " + ("vessel" if told else "closed"))
 
 
 @pytest.mark.parametrize(("starts", "size"), [(1, 1), (2, 2)])

@@ -9,7 +9,7 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.stages.first import stereo_initialization
 from irgspp.core.stages.first import vessel as vessel_module
 from irgspp.core.stages.first.stereo_initialization import from_stereo, hull_bounds
-from irgspp.core.stages.first.vessel import THICKNESSES, UNKNOWN_THICKNESS, find_vessel
+from irgspp.core.stages.first.vessel import MIN_RELATIVE_DEPTH, MIN_TELLING_DEPTH, THICKNESSES, UNKNOWN_THICKNESS, find_vessel
 from irgspp.core.stages.first.vessel_mouths import vessel_mouths
 from irgspp.core.stages.first.visual_hull import visual_hull
 from open_bowl import RIM, bowl, bowl_depth, guessed_inside
@@ -37,12 +37,12 @@ def hull_depth(dataset, hull):
     return hull_bounds(dataset, hull)[2]
 
 
-def found(dataset, hull, surface, hull_depth, part):
+def found(dataset, hull, surface, hull_depth, part, least_depth=MIN_RELATIVE_DEPTH):
     """Vessel that depths tell which lie a `part` of the way from the hull to the bowl's inside."""
     maps = [
         replace(one, depth=depth + part * (one.depth - depth)) for one, depth in zip(guessed_inside(dataset.train), hull_depth, strict=True)
     ]
-    return find_vessel(hull, surface, maps, hull_depth, dataset.bound.radius)
+    return find_vessel(hull, surface, maps, hull_depth, dataset.bound.radius, least_depth)
 
 
 def test_the_hollow_lies_behind_the_mouth(dataset, hull, surface, hull_depth):
@@ -73,6 +73,11 @@ def test_points_in_the_hollow_and_of_the_outside_are_told_apart(dataset, hull, s
     assert vessel.faces_wall(wall[None], outwards).tolist() == [True]
     assert vessel.faces_wall(wall[None], inwards).tolist() == [False]
     assert vessel.faces_wall(outside[None], outwards).tolist() == [False]
+
+
+@pytest.mark.parametrize(("part", "is_one"), [(0.55, False), (1.0, True)])
+def test_a_vessel_is_asked_for_that_depths_tell_for_sure(dataset, hull, surface, hull_depth, part, is_one):
+    assert (found(dataset, hull, surface, hull_depth, part, MIN_TELLING_DEPTH) is not None) == is_one
 
 
 @pytest.mark.parametrize("part", [0.0, 0.25])
@@ -106,7 +111,7 @@ def start_with(dataset, monkeypatch, maps):
     """Start of the bowl as a vessel, by depth maps."""
     monkeypatch.setattr(stereo_initialization, "estimate_depth_maps", lambda *_: maps)
     (closed,) = from_stereo(dataset, COUNT, 0, Silent(), everywhere=True)
-    return closed, closed.vessel()
+    return closed, closed.vessel(MIN_RELATIVE_DEPTH)
 
 
 def test_surfels_of_a_vessel_lie_on_its_inside_and_not_on_its_mouth(dataset, monkeypatch):
@@ -151,4 +156,11 @@ def test_a_solid_object_is_no_vessel(dataset, monkeypatch):
         )
     ]
     _, vessel = start_with(dataset, monkeypatch, flat)
+    assert vessel is None
+
+
+def test_a_vessel_whose_inside_stereo_finds_needs_no_other_start(dataset, monkeypatch):
+    maps = [replace(one, support=np.where(one.depth > 0, 5, 0).astype(np.uint8)) for one in guessed_inside(dataset.train)]
+    closed, vessel = start_with(dataset, monkeypatch, maps)
+    assert (np.linalg.norm(closed.gaussians.position.T.numpy(), axis=1) < 0.85).mean() < 0.02
     assert vessel is None
