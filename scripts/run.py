@@ -11,13 +11,21 @@ import os
 import shutil
 import subprocess
 import sys
+import time
+from contextlib import contextmanager
 from pathlib import Path
+
+if os.name == "nt":
+    import msvcrt
+else:
+    import fcntl
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / ".venv"
 LOCK = ROOT / "requirements.lock"
 STAMP = VENV / "irgspp-setup.sha256"  # digest of what is installed; written last
 UNFINISHED = VENV / "irgspp-setup-unfinished"  # there while an installation runs
+LOCKED = ROOT / "build" / "setup.lock"  # held by the set-up that runs; the system releases it when that ends
 PYTHON = VENV / ("Scripts/python.exe" if os.name == "nt" else "bin/python")
 REQUIRED = (3, 11)
 COMMANDS = ("setup", "demo", "test", "docs")
@@ -97,11 +105,47 @@ def make_venv() -> None:
         fail("could not make .venv (on Debian and Ubuntu: install the package python3.11-venv)")
 
 
+def try_lock(file) -> bool:
+    """Lock an open file for this process and return True, or False where another one has locked it."""
+    try:
+        if os.name == "nt":
+            msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
+        else:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        return False
+    return True
+
+
+@contextmanager
+def alone():
+    """Wait until no other set-up of this folder runs, and keep others waiting."""
+    LOCKED.parent.mkdir(parents=True, exist_ok=True)
+    with open(str(LOCKED), "w") as file:
+        if not try_lock(file):
+            say("waiting for another set-up of this folder")
+            while not try_lock(file):
+                time.sleep(0.2)
+        yield
+
+
+def is_set_up() -> bool:
+    """Return True where what has to be installed is in .venv."""
+    return STAMP.exists() and not UNFINISHED.exists() and STAMP.read_text().strip() == digest() and PYTHON.exists()
+
+
 def setup() -> None:
     """Install the locked versions and this package into .venv, unless that is done already."""
-    current = digest()
-    if STAMP.exists() and not UNFINISHED.exists() and STAMP.read_text().strip() == current and PYTHON.exists():
+    if is_set_up():
         return
+    with alone():
+        if not is_set_up():  # another set-up may have done it meanwhile
+            set_up()
+
+
+def set_up() -> None:
+    """Install the locked versions and this package into .venv."""
+    current = digest()
     make_venv()
     UNFINISHED.touch()
     say("installing the versions of requirements.lock (about 1 GB, once)")

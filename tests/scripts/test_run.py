@@ -6,8 +6,10 @@ import importlib.util
 import re
 import subprocess
 import sys
+import threading
 import tomllib
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -23,7 +25,7 @@ def script(tmp_path, monkeypatch):
     spec.loader.exec_module(module)
     venv = tmp_path / ".venv"
     paths = {"ROOT": tmp_path, "VENV": venv, "LOCK": tmp_path / "requirements.lock", "PYTHON": venv / "python"}
-    paths |= {"STAMP": venv / module.STAMP.name, "UNFINISHED": venv / module.UNFINISHED.name}
+    paths |= {"STAMP": venv / module.STAMP.name, "UNFINISHED": venv / module.UNFINISHED.name, "LOCKED": tmp_path / "build" / "setup.lock"}
     for name, value in paths.items():
         monkeypatch.setattr(module, name, value)
     for name in ("requirements.lock", "pyproject.toml"):
@@ -55,6 +57,28 @@ def test_first_set_up_then_nothing(script):
     script.calls.clear()
     assert script.main(["setup"]) == 0
     assert script.calls == []
+
+
+def test_two_set_ups_at_once_install_once(script, capsys):
+    """The second one waits for the first and finds everything done."""
+    begun, checked = threading.Event(), threading.Event()
+    record = script.call
+
+    def slow(*command):
+        if "venv" in command:
+            begun.set()
+            assert checked.wait(30)
+        return record(*command)
+
+    script.call = slow
+    script.time = SimpleNamespace(sleep=lambda _: checked.set())
+    first = threading.Thread(target=script.main, args=[["setup"]])
+    first.start()
+    assert begun.wait(30)
+    assert script.main(["setup"]) == 0
+    first.join()
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
+    assert capsys.readouterr().err.count("waiting for another set-up") == 1
 
 
 def test_changed_lock_installs_into_the_same_environment(script):
