@@ -63,13 +63,12 @@ class LightMaterialSolver:
         surface_normal: (P, 3) unit, of the samples at the start.
         transfer: radiance transfer from T texels to the points.
         light: (T, 3) linear radiance of the texels.
-        albedo: (P, 3).
-        roughness: (P,).
-        metallic: (P,).
+        albedo, roughness, metallic: (P, 3), (P,) and (P,).
         derivative: (K, 3) approximate derivative of the sRGB encoding at the samples' radiance.
         robust_weight: (K, 3) weights of the last step in 0..1.
         candidates: (P,) bool, points that a search found to be metal before the test.
         start_albedo: albedo of all points in the first steps: MEDIUM_ALBEDO, or DARK_ALBEDO where that explained the photographs better.
+        started_glossy: it started once more from a glossy surface, see `solver_run`.
         regions: number of regions of candidates, and of those that are metal.
         metal_gain: share of the robust error that the metal regions explained in their test, 0..1.
     """
@@ -100,7 +99,7 @@ class LightMaterialSolver:
         self.roughness, self.metallic = roughness.clone(), metallic.clone()
         mean = samples.sums(samples.colour) / samples.lengths[:, None]
         self.light = mean.new_full((transfer.texels.count, 3), float(mean.mean()) / MEDIUM_ALBEDO)
-        self.albedo, self.start_albedo = torch.full_like(mean, MEDIUM_ALBEDO), MEDIUM_ALBEDO
+        self.albedo, self.start_albedo, self.started_glossy = torch.full_like(mean, MEDIUM_ALBEDO), MEDIUM_ALBEDO, False
         self.derivative, self.robust_weight = approximate_srgb_derivative(samples.colour), torch.ones_like(samples.colour)
         self._light_prior = LightPrior(transfer.texels, mean.device, seen)
         self._diffuse = transfer.diffuse_rows(samples)
@@ -127,7 +126,7 @@ class LightMaterialSolver:
         if done in MATERIAL_STEPS:
             self._search_materials(done)
         self._step(done)
-        unknowns = {name: getattr(self, name) for name in ("light", "albedo", "roughness", "metallic")}
+        unknowns = {"light": self.light, "albedo": self.albedo, "roughness": self.roughness, "metallic": self.metallic}
         require_finite(unknowns, f"after step {done + 1} of the second stage")
 
     def copied(self) -> LightMaterialSolver:
@@ -177,14 +176,15 @@ class LightMaterialSolver:
         self._follow(TURN_STEPS)
 
     def settle(self) -> float:
-        """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change.
-
-        The roughness of metal stays: it was found together with the normals.
-        """
-        before, metal = self.roughness, self.metallic > 0
-        self.roughness = torch.where(metal, before, self._search.likely_roughness(self._costs(), metal, self.albedo))
-        self._follow(SETTLING_STEPS, SETTLING_WEIGHT)
+        """Search the roughness with its prior, and let the light follow; return the root mean square of the roughness's change."""
+        before = self.roughness
+        self.set_roughness(self._search.likely_roughness(self._costs(), self.metallic > 0, self.albedo), SETTLING_STEPS, SETTLING_WEIGHT)
         return float((self.roughness - before).square().mean().sqrt())
+
+    def set_roughness(self, roughness: torch.Tensor, steps: int, prior_weight: float | None = None) -> None:
+        """Set the roughness (P,), that of metal apart, which was found together with its normals, and let the light follow in `steps`."""
+        self.roughness = torch.where(self.metallic > 0, self.roughness, roughness)
+        self._follow(steps, prior_weight)
 
     def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""

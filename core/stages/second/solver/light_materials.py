@@ -204,6 +204,8 @@ def _report_result(solver: LightMaterialSolver, progress: Progress) -> None:
         progress.message("a dark object under a bright light explains the photographs better")
     if solver.transfer.texels.level.any():
         progress.message("the light is subdivided where it is bright")
+    if solver.started_glossy:
+        progress.message("a second start, from a glossy surface, explains the photographs better")
     tested, confirmed = solver.regions
     if tested:
         progress.message(f"metal: {confirmed} of {tested} candidate regions confirmed")

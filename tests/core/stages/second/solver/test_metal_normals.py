@@ -7,6 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from irgspp.core.stages.second.solver import solver_run
 from irgspp.core.stages.second.solver.light_material_solver import STEPS
 from irgspp.core.stages.second.solver.material_search import MaterialSearch
 from irgspp.core.stages.second.solver.metal_normals import (
@@ -114,7 +115,7 @@ def test_wrong_normals_hide_no_metal_and_make_none():
 
 
 @pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 0.0), 0)])
-def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
+def test_a_run_turns_metal_parts_at_its_end(metallic, turns, monkeypatch):
     """Not on an object that is metal as a whole: its normals come from the first stage's reflections."""
     done = []
     solver = SimpleNamespace(
@@ -126,9 +127,10 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns):
         settle=lambda: done.append("settle") or 0.0,
         reduce_tint=lambda: done.append("tint"),
     )
+    monkeypatch.setattr(solver_run, "_glossy_where_better", lambda solver, _: done.append("gloss") or solver)
     run_solver(solver)
     settles = not solver.is_mostly_metal
-    assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["settle"] * settles + ["tint"]
+    assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["settle", "gloss"] * settles + ["tint"]
 
 
 def test_a_run_that_is_ended_at_its_last_step_turns_nothing():

@@ -9,7 +9,15 @@ import torch
 from irgspp.core.stages.second.solver import solver_run
 from irgspp.core.stages.second.solver.albedo_prior import DARK_ALBEDO, MEDIUM_ALBEDO
 from irgspp.core.stages.second.solver.light_material_solver import STEPS, LightMaterialSolver
-from irgspp.core.stages.second.solver.solver_run import COARSE_STEPS, SPLIT_STEPS, START_STEPS, TOTAL_STEPS, run_solver
+from irgspp.core.stages.second.solver.solver_run import (
+    COARSE_STEPS,
+    GLOSSY_PASSES,
+    SPLIT_STEPS,
+    START_STEPS,
+    TOTAL_STEPS,
+    _glossy_where_better,
+    run_solver,
+)
 from sphere_on_floor import make, rendered, start
 
 
@@ -29,8 +37,9 @@ def settled(scene):
 
 @pytest.fixture
 def idle(monkeypatch):
-    """Let the solver's steps do nothing, for tests of their order alone."""
+    """Let the solver's steps do nothing and its start be the only one, for tests of their order alone."""
     monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: None)
+    monkeypatch.setattr(solver_run, "_glossy_where_better", lambda solver, _: solver)
 
 
 def unsplit(transfer, light):
@@ -73,6 +82,7 @@ def test_coarse_light_is_taken_back_where_it_is_clearly_better(scene, monkeypatc
     monkeypatch.setattr(LightMaterialSolver, "copied", lambda self: coarse.append(original(self)) or coarse[-1])
     monkeypatch.setattr(LightMaterialSolver, "total_error", lambda self: error if self in coarse else 1.0)
     monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: 0.0)
+    monkeypatch.setattr(solver_run, "_glossy_where_better", lambda solver, _: solver)
     steps = []
     monkeypatch.setattr(LightMaterialSolver, "advance", lambda self, done: self in coarse and steps.append(done))
     result = run_solver(solver, unsplit, try_dark=False)
@@ -101,6 +111,40 @@ def test_light_and_roughness_settle(scene, settled, monkeypatch):
     assert gloss < before
     error, error_before = (float((solver.light / light).log().abs().mean()) for solver in (done, unsettled))
     assert error < error_before
+
+
+@pytest.fixture(scope="module")
+def too_rough(scene):
+    """A solver that took gloss for rough paint, and the true roughness of all points."""
+    transfer, seen, (light, albedo, roughness, metallic) = scene
+    gloss = torch.full_like(roughness, 0.25)
+    solver = start(replace(seen, colour=rendered(seen, transfer, light, albedo, gloss, 0 * metallic)), transfer)
+    solver.set_roughness(torch.full_like(roughness, 0.8), 20)
+    return solver, gloss
+
+
+def test_a_second_start_finds_gloss_that_was_taken_for_rough_paint(too_rough):
+    solver, gloss = too_rough
+    before = solver.total_error()
+    found = _glossy_where_better(solver, lambda done: None)
+    assert found.started_glossy and not solver.started_glossy
+    assert found.total_error() < 0.5 * before and solver.total_error() == before
+    assert float((found.roughness - gloss).abs().mean()) < 0.1
+
+
+@pytest.mark.parametrize(("error", "taken"), [(0.96, True), (0.98, False)])
+def test_a_second_start_must_be_clearly_better(too_rough, monkeypatch, error, taken):
+    solver, settled = too_rough[0], []
+    monkeypatch.setattr(LightMaterialSolver, "set_roughness", lambda self, *_: None)
+    monkeypatch.setattr(LightMaterialSolver, "total_error", lambda self: error if self.started_glossy else 1.0)
+    monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: settled.append(self) or 0.0)
+    found = _glossy_where_better(solver, lambda done: None)
+    assert found.started_glossy == taken and (found is solver) == (not taken)
+    assert len(settled) == GLOSSY_PASSES + taken
+
+
+def test_the_run_may_end_in_a_second_start(too_rough):
+    assert _glossy_where_better(too_rough[0], lambda done: True) is too_rough[0]
 
 
 def test_the_roughness_of_metal_stays_while_the_rest_settles(scene):
