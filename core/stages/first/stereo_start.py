@@ -69,12 +69,25 @@ def joined_surfels(
 
 
 def unexplained(others: np.ndarray, points: OrientedPoints, maps: list[DepthMap], reach: float) -> np.ndarray:
-    """Return (N,) True for the others (N, 3) that none of the points is near and that few views look through."""
+    """Return (N,) True for points that none of stereo's is near and that few views look through.
+
+    Args:
+        others: (N, 3).
+        points: of stereo.
+        maps: depth maps of stereo.
+        reach: distance up to which a point is near, and tolerance of the free-space test, world units.
+    """
     return apart(others, points, reach) & (views_through(others, maps, reach, MIN_SUPPORT_UNMASKED) < MIN_VIEWS_THROUGH)
 
 
 def apart(others: np.ndarray, points: OrientedPoints, reach: float) -> np.ndarray:
-    """Return (N,) True for the others (N, 3) that are farther than `reach` from all points."""
+    """Return (N,) True for points that are far from all of stereo's.
+
+    Args:
+        others: (N, 3).
+        points: of stereo.
+        reach: distance from which they are far, world units.
+    """
     if not len(points.position):
         return np.ones(len(others), bool)
     return KDTree(points.position).query(others, workers=-1)[0] > reach
