@@ -140,7 +140,20 @@ def test_a_second_start_must_be_clearly_better(too_rough, monkeypatch, error, ta
     monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: settled.append(self) or 0.0)
     found = _glossy_where_better(solver, lambda done: None)
     assert found.started_glossy == taken and (found is solver) == (not taken)
-    assert len(settled) == GLOSSY_PASSES + taken
+    assert len(settled) == (2 * GLOSSY_PASSES + 1 if taken else GLOSSY_PASSES)
+
+
+@pytest.mark.parametrize(("error", "taken"), [(0.99, True), (0.92, False)])
+def test_a_second_start_must_be_better_than_the_same_from_its_own_roughness(too_rough, monkeypatch, error, taken):
+    """`error`: of the copy with the solver's own roughness."""
+    solver, copies, original = too_rough[0], [], LightMaterialSolver.copied
+    monkeypatch.setattr(LightMaterialSolver, "copied", lambda self: copies.append(original(self)) or copies[-1])
+    monkeypatch.setattr(LightMaterialSolver, "set_roughness", lambda self, *_: setattr(self, "moved", True))
+    monkeypatch.setattr(LightMaterialSolver, "settle", lambda self: 0.0)
+    errors = lambda self: 0.93 if self.started_glossy else error if getattr(self, "moved", False) else 1.0  # noqa: E731
+    monkeypatch.setattr(LightMaterialSolver, "total_error", errors)
+    assert _glossy_where_better(solver, lambda done: None).started_glossy == taken
+    assert len(copies) == 2
 
 
 def test_the_run_may_end_in_a_second_start(too_rough):
