@@ -112,8 +112,10 @@ def try_lock(file) -> bool:
             msvcrt.locking(file.fileno(), msvcrt.LK_NBLCK, 1)
         else:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-    except OSError:
+    except (BlockingIOError, PermissionError):
         return False
+    except OSError:
+        say("this file system has no locks: start one set-up at a time")
     return True
 
 
@@ -124,8 +126,11 @@ def alone():
     with open(str(LOCKED), "w") as file:
         if not try_lock(file):
             say("waiting for another set-up of this folder")
-            while not try_lock(file):
-                time.sleep(0.2)
+            try:
+                while not try_lock(file):
+                    time.sleep(0.2)
+            except KeyboardInterrupt:
+                raise SystemExit(130) from None
         yield
 
 

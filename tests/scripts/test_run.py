@@ -2,7 +2,9 @@
 """The set-up script installs once, again when the lock changes, and anew after an interruption, and passes exit statuses on."""
 
 import ast
+import errno
 import importlib.util
+import os
 import re
 import subprocess
 import sys
@@ -173,3 +175,14 @@ def test_lock_pins_everything_the_package_needs():
         name = re.match(r"[\w.-]+", requirement)[0].lower()
         assert name in pins
         assert pins[name][1], f"{name} has no line that says what it is for"
+
+
+def test_without_locks_of_the_file_system_a_set_up_goes_on(script, capsys, monkeypatch):
+    def unsupported(*_):
+        raise OSError(errno.ENOLCK, "no locks")
+
+    name = {"nt": "msvcrt", "posix": "fcntl"}[os.name]
+    monkeypatch.setattr(script, name, SimpleNamespace(**vars(getattr(script, name)) | {"flock": unsupported, "locking": unsupported}))
+    assert script.main(["setup"]) == 0
+    assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
+    assert "has no locks" in capsys.readouterr().err

@@ -139,10 +139,10 @@ def _glossy_where_better(solver: LightMaterialSolver, on_step: Callable[[int], b
             one.settle()
             if on_step(TOTAL_STEPS):
                 return solver
-        least = min(least, same.total_error())
+        least = min(least, same.total_error())  # at first the solver's
         if glossy.total_error() > MAX_GLOSSY_ERROR_RATIO * least:
             return solver
-    _settle(glossy, on_step)
+    _settle(glossy, lambda _: on_step(TOTAL_STEPS))  # steps that were told are not told again
     return glossy
 
 

@@ -125,8 +125,9 @@ def too_rough(scene):
 
 def test_a_second_start_finds_gloss_that_was_taken_for_rough_paint(too_rough):
     solver, gloss = too_rough
-    before = solver.total_error()
-    found = _glossy_where_better(solver, lambda done: None)
+    before, told = solver.total_error(), []
+    found = _glossy_where_better(solver, told.append)
+    assert set(told) == {TOTAL_STEPS}  # progress never goes back
     assert found.started_glossy and not solver.started_glossy
     assert found.total_error() < 0.5 * before and solver.total_error() == before
     assert float((found.roughness - gloss).abs().mean()) < 0.1
