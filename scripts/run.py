@@ -122,7 +122,11 @@ def try_lock(file) -> bool:
 @contextmanager
 def alone():
     """Wait until no other set-up of this folder runs, and keep others waiting."""
-    LOCKED.parent.mkdir(parents=True, exist_ok=True)
+    try:
+        LOCKED.parent.mkdir(parents=True, exist_ok=True)
+        LOCKED.touch()
+    except OSError as error:
+        fail("could not write " + str(LOCKED) + " (" + str(error.strerror) + "); make this folder writable")
     with open(str(LOCKED), "w") as file:
         if not try_lock(file):
             say("waiting for another set-up of this folder")

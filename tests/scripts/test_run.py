@@ -186,3 +186,11 @@ def test_without_locks_of_the_file_system_a_set_up_goes_on(script, capsys, monke
     assert script.main(["setup"]) == 0
     assert kinds(script.calls) == ["-m venv", "-r ", "--editable", "irgspp compile"]
     assert "has no locks" in capsys.readouterr().err
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(script, tmp_path, capsys):
+    (tmp_path / "build").write_text("a file where the lock's folder belongs")
+    with pytest.raises(SystemExit) as ended:
+        script.main(["setup"])
+    assert ended.value.code == 2 and script.calls == []
+    assert capsys.readouterr().err.startswith("run.py: could not write ")

@@ -30,9 +30,8 @@ MIN_OPENED = 0.02  # share of the hull's points that open gaps leave out, below 
 # .43 to .63 (quartiles); with .4 in place of .7 its trial fit gains .2 dB, a box with a ball loses .2 dB.
 SHARE_THROUGH_CONTENTS = 0.5
 # Share of stereo's points in a vessel's hollow where nothing is, or of the hull's at its mouth that the start lies on, from which they are
-# a lid. Mug, watering can, lacquer bowl, glossy bowl, cardboard box: .37, .38, .32, .40, .21 of stereo's; where trial fits refuse a vessel:
-# a part in a corner .07, a plain cup whose inside stereo finds .06, a crate with apples .06, a shelf and a textured bowl .02, a pot with
-# leaves .003.
+# a lid. Mug, watering can, lacquer bowl, glossy bowl, cardboard box: .37, .38, .32, .40, .21 of stereo's. Trial fits refused a vessel on
+# a part in a corner .07, a plain cup whose inside stereo finds .06, a crate with apples .06, a shelf .02, a pot with leaves .003.
 MIN_LID_SHARE = 0.12
 
 

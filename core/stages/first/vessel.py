@@ -22,8 +22,8 @@ THICKNESSES = (0.035, 0.05, 0.07, 0.1)  # of a wall that are tried, radii of the
 UNKNOWN_THICKNESS = 0.05  # where stereo's depths do not tell it
 # Stereo's depth behind a mouth, median, in units of that of the inside at the first thickness, from which it may be a mouth. A watering
 # can, a plain cup and a mug have .88, .91 and .83; a bowl in lacquer .69, a glossy one, whose reflections mislead stereo, .46; a crate with
-# apples and a part in a corner .57, the compartments of a shelf .23 to .81, a pot with leaves 1.03, where the start has no lid
-# (`masked_starts.MIN_LID_SHARE`); walls and undersides at most .35.
+# apples and a part in a corner .57, the compartments of a shelf .23 to .81, a pot with leaves 1.03: these four have no lid
+# (`masked_starts.MIN_LID_SHARE`). Walls and undersides have at most .35.
 MIN_RELATIVE_DEPTH = 0.4
 MIN_TELLING_DEPTH = 0.75  # likewise, from which it tells the wall's thickness
 PROBED_VIEWS = 6  # one view of so many is compared

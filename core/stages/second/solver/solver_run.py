@@ -6,7 +6,8 @@
    the solver; it is given up after COARSE_STEPS unless it is clearly better, and is the result if it is so at the end.
 3. At the end, the borders of metal parts are drawn once more and their normals searched, and roughness and light settle.
 4. A copy starts once more with all but metal glossy, lets the light follow, and settles. It is given up after GLOSSY_PASSES unless it
-   explains the photographs clearly better: where normals change little, as on a board, rough paint under a bright light is found first.
+   explains the photographs clearly better than the solver, and than a copy that does the same from the solver's own roughness. Where
+   normals change little, as on a board, rough paint under a bright light is found first.
 5. A tint of the light moves into the albedo as far as the photographs leave it open.
 """
 
@@ -121,7 +122,7 @@ def _glossy_where_better(solver: LightMaterialSolver, on_step: Callable[[int], b
     """Return a copy of a solver that started once more from a glossy surface, where that explains the photographs clearly better.
 
     It must also be better than a copy that does the same from the solver's own roughness: where the model is wrong, as at false surfaces in
-    a glossy bowl, the weaker prior of the albedo alone lowers the error by a tenth.
+    a glossy bowl, the weaker prior of the albedo alone lowers the error by a twentieth.
 
     Args:
         solver: a solver that has settled.
