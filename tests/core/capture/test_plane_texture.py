@@ -102,3 +102,14 @@ def test_gaps_in_which_views_disagree_are_not_known():
         colour[mask > 0] = random.random(3)
     without, texture = (plane_texture(colours, cams, filled, PLANE, BOUND, one) for one in (None, own))
     assert texture.known.sum() < without.known.sum() * 1.01
+
+
+def test_a_plain_wall_on_which_views_agree_is_not_the_table():
+    cams = cameras()
+    wall = np.array([0.2, 0.45, 0.35])
+    colours, _ = photographs(cams, wall)
+    filled, rim = balls(cams, 0.45), [np.zeros((HEIGHT, WIDTH), np.float32) for _ in cams]  # stereo sees nothing of the wall
+    for colour, mask in zip(colours, filled, strict=True):
+        colour[mask > 0] = wall
+    without, texture = (plane_texture(colours, cams, filled, PLANE, BOUND, one) for one in (None, rim))
+    assert texture.known.sum() < without.known.sum() * 1.01
