@@ -23,6 +23,7 @@ from ..metal import METALLIC_THRESHOLD, is_mostly_metal
 from ..secondary_tracer import secondary_tracer
 from ..step_report import report_step
 from .albedo_prior import MEDIUM_ALBEDO
+from .camera_light import moves_with_camera
 from .light_material_solver import LightMaterialSolver, Split
 from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -35,9 +36,10 @@ MIN_POINTS = 50  # with which the light is solved
 # Share of the error that metal must explain in the test of its regions where the whole object is to be metal; else the solver runs once
 # more without metal. teapot_glossy .69, two metal Suzannes .55 and .33; a resin skull under the camera's flash .18.
 MIN_METAL_GAIN = 0.4
-# Share of the final error of the solver without metal that the one with metal must explain, for its result to be taken: two metal Suzannes
-# .35 and .28, a lantern of iron around a candle .198, the skull .12.
-MIN_EXPLAINED_SHARE = 0.16
+# Share of the final error of the solver without metal that the one with metal must explain, for its result to be taken: metal Suzannes .35
+# and .28, a gear .21, a lantern of iron .20, a tin with a paper label .14.
+MIN_EXPLAINED_SHARE = 0.05
+MIN_EXPLAINED_SHARE_BY_FLASH = 0.16  # the same under a light that moves with the camera, which looks like rough metal: a resin skull .12
 # Ratio of the errors that both starts end with below which a dark one is taken. A dark pot has .954, black ceramic about .57. A box of
 # brown wood has .984, but is not dark: its roughness was .14 off in place of .07.
 MAX_DARK_END_RATIO = 0.97
@@ -112,7 +114,8 @@ def solve_light_materials(
     if _is_doubtful_metal(reconstruction, solver):
         progress.message("the solver takes the whole object for metal, but the first stage does not: solved again without metal")
         without_metal = _solve_from_first_stage(inputs, False, progress)
-        solver = _decide_metal(solver, without_metal, reconstruction.has_split_sum, progress)
+        least = MIN_EXPLAINED_SHARE_BY_FLASH if moves_with_camera(samples) else MIN_EXPLAINED_SHARE
+        solver = _decide_metal(solver, without_metal, reconstruction.has_split_sum, least, progress)
     return solver, tracer
 
 
@@ -159,16 +162,16 @@ def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolv
 
 
 def _decide_metal(
-    metal: LightMaterialSolver, without_metal: LightMaterialSolver, reflects: bool, progress: Progress
+    metal: LightMaterialSolver, without_metal: LightMaterialSolver, reflects: bool, least: float, progress: Progress
 ) -> LightMaterialSolver:
-    """Return the solver with metal where it explains far more, and the first stage found reflections (`reflects`); else the other one."""
+    """Return the solver with metal where it explains a share above `least`, and the first stage found reflections; else the other one."""
     share = 1 - metal.total_error() / max(without_metal.total_error(), 1e-30)
     explained = f"metal explains {share:.0%} of the error"
     if not reflects:
         progress.message(f"{explained}, but the first stage found no reflections: none of it is metal")
         return without_metal
-    progress.message(f"{explained}: {'all' if share > MIN_EXPLAINED_SHARE else 'none'} of it is metal")
-    return metal if share > MIN_EXPLAINED_SHARE else without_metal
+    progress.message(f"{explained}: {'all' if share > least else 'none'} of it is metal")
+    return metal if share > least else without_metal
 
 
 def _solve_from_first_stage(inputs: SolverInputs, search_metal: bool, progress: Progress) -> LightMaterialSolver:
