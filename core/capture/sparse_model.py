@@ -12,6 +12,8 @@ from ..datasets.parsed_dataset import Lens
 from ..scene.dataset import PointCloud
 from .photograph import LeftOut, Photograph
 
+MIN_OBSERVATIONS = 2  # of a point: one photograph alone does not tell its place, and COLMAP takes no such point
+
 
 @dataclass(frozen=True, eq=False)
 class PosedPhotograph:
@@ -64,7 +66,7 @@ class SparseModel:
         return PointCloud(self.position.astype(np.float32), self.colour.astype(np.float32) / 255)
 
     def subset(self, kept: Sequence[int]) -> SparseModel:
-        """Return the model of some of its photographs, and the points that they observe.
+        """Return the model of some of its photographs, and the points that MIN_OBSERVATIONS of them observe.
 
         Args:
             kept: their indices in `posed`, ascending.
@@ -74,6 +76,8 @@ class SparseModel:
         if self.has_given_cameras:  # no observation says which points these photographs show
             return replace(self, posed=[self.posed[i] for i in kept])
         observed = number[self.track_photograph] >= 0
+        often = np.bincount(self.track_point[observed], minlength=len(self.position)) >= MIN_OBSERVATIONS
+        observed &= often[self.track_point]
         points, track_point = np.unique(self.track_point[observed], return_inverse=True)
         return replace(
             self,

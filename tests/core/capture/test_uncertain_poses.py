@@ -99,3 +99,14 @@ def test_masks_are_widened_where_features_err():
 
 def test_masks_of_given_cameras_are_not_widened():
     assert mask_widening(replace(model(), error=None)) == 0
+
+
+def test_points_that_one_of_the_other_photographs_shows_are_left_out_too():
+    whole, rare = model(hidden=(5,)), np.arange(0, POINTS, 7)  # only photographs 2 and 5 show these points
+    rows = ~np.isin(whole.track_point, rare) | np.isin(whole.track_photograph, (2, 5))
+    few = replace(
+        whole, track_point=whole.track_point[rows], track_photograph=whole.track_photograph[rows], track_pixel=whole.track_pixel[rows]
+    )
+    kept = without_uncertain_poses(few)
+    assert len(kept.posed) == VIEWS - 1 and len(kept.position) == len(kept.colour) == POINTS - len(rare)
+    assert np.bincount(kept.track_point, minlength=len(kept.position)).min() >= 2
