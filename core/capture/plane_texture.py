@@ -25,8 +25,8 @@ MAX_TEXTURE = 768  # texels along a side
 MASK_CLEARANCE = 0.006  # distance that a texel keeps from the object's mask, in the image's longest sides
 ROUNDS, GAP_ROUNDS = 2, 4  # of the robust mean, and of that of gaps, where some views see the object
 MIN_AGREEING_FRACTION = 0.5  # fraction of the views of a texel in a gap that must agree
-# Contrast of a gap's texture, of its brightness and as a share of the median of the table, from which it can be the table: views agree on a
-# plain wall of the object too, wherever they look through it. Walls of a watering can and a mug have .004 to .013, the tables .03 and .1.
+# Least contrast of the colours in a gap, and the same as a share of the table's median, for the gap to show the table. Views also agree on
+# a plain wall of the object, whichever part of it they show. Walls of a watering can and a mug have .004 to .013, the tables .03 and .1.
 MIN_GAP_CONTRAST, MIN_GAP_CONTRAST_SHARE = 0.02, 0.5
 CONTRAST_SIGMA = 2.0  # texels, sigma of the window in which it is measured
 NOISE_DIFFERENCE = 0.06  # difference, encoded, at which a view's weight in the robust mean falls to a quarter
@@ -106,13 +106,13 @@ def plane_texture(
 
 
 def _least_contrast(colour: np.ndarray, known: np.ndarray) -> float:
-    """Return the contrast from which a gap can show the table, of which (h, w) texels are known."""
+    """Return the contrast from which a gap can show the table, whose colours (h, w, 3) are known at some texels (h, w) bool."""
     table = _contrast(colour, known)[known]
     return max(MIN_GAP_CONTRAST, MIN_GAP_CONTRAST_SHARE * float(np.median(table))) if len(table) else MIN_GAP_CONTRAST
 
 
 def _contrast(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return the standard deviation of the brightness around each known texel (h, w) bool, as a share of its mean; colour: (h, w, 3)."""
+    """Return (h, w): standard deviation over mean of the brightness of known texels (h, w) bool around each texel; colour: (h, w, 3)."""
     grey, weight = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY), known.astype(np.float32)
     total, mean, square = (cv2.GaussianBlur(one, (0, 0), CONTRAST_SIGMA) for one in (weight, weight * grey, weight * grey * grey))
     mean, square = mean / np.maximum(total, 1e-3), square / np.maximum(total, 1e-3)

@@ -6,7 +6,7 @@ from __future__ import annotations
 from .multi_view_samples import MultiViewSamples
 
 MAX_CHANGE = 1.0  # relative change of a sample's radiance that counts at most: mirrored lights change it more
-# Slope from which a light moves with the camera: 1.3 under a real flash, -.6 to .03 on ten objects of all kinds under a light that stays.
+# Slope from which a light moves with the camera: 1.3 under a real flash, -.6 to .03 on twelve objects under a light that stays.
 MIN_CAMERA_LIGHT = 0.5
 
 

@@ -39,7 +39,7 @@ MIN_METAL_GAIN = 0.4
 # Share of the final error of the solver without metal that the one with metal must explain, for its result to be taken: metal Suzannes .35
 # and .28, a gear .21, a lantern of iron .20, a tin with a paper label .14.
 MIN_EXPLAINED_SHARE = 0.05
-MIN_EXPLAINED_SHARE_BY_FLASH = 0.16  # the same under a light that moves with the camera, which looks like rough metal: a resin skull .12
+MIN_EXPLAINED_SHARE_BY_FLASH = 0.16  # the same under a light that moves with the camera, where paint looks like rough metal: a skull .12
 # Ratio of the errors that both starts end with below which a dark one is taken. A dark pot has .954, black ceramic about .57. A box of
 # brown wood has .984, but is not dark: its roughness was .14 off in place of .07.
 MAX_DARK_END_RATIO = 0.97

@@ -15,16 +15,15 @@ def unit(vectors):
 
 
 def samples(radiance, saturated=False):
-    """Samples of points of a sphere from views in front of them; `radiance(normal, view)` (K,) by `random` albedo."""
+    """Samples of points of a sphere, each seen from in front of it, of radiance `radiance(normal, view)` (K,) times a random albedo."""
     random = np.random.default_rng(0)
     normal = unit(random.normal(size=(POINTS, 3)))
     view = unit(normal.repeat(VIEWS, 0) + 0.8 * unit(random.normal(size=(POINTS * VIEWS, 3))))
     value = radiance(normal.repeat(VIEWS, 0), view) * random.uniform(0.2, 0.8, POINTS).repeat(VIEWS)
     colour = torch.tensor(value, dtype=torch.float32)[:, None].repeat(1, 3)
-    bound = torch.full(colour.shape, saturated)
-    tensors = (torch.tensor(part, dtype=torch.float32) for part in (normal, normal, view))
-    place, facing, towards = tensors
-    return MultiViewSamples(place, facing, torch.arange(POINTS).repeat_interleave(VIEWS), towards, colour, bound)
+    place, towards = (torch.tensor(part, dtype=torch.float32) for part in (normal, view))
+    point = torch.arange(POINTS).repeat_interleave(VIEWS)
+    return MultiViewSamples(place, place, point, towards, colour, torch.full(colour.shape, saturated))
 
 
 def cosine(normal, view):

@@ -74,18 +74,14 @@ def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, g
 @pytest.mark.parametrize(
     ("flash", "error", "words", "expected"),
     [
-        (
-            True,
-            88.0,
-            "metal explains 12% of the error: none of it is metal",
-            0,
-        ),  # a camera's flash makes an object look a little like metal
+        (True, 88.0, "metal explains 12% of the error: none of it is metal", 0),
         (True, 82.0, "18% of the error: all of it is metal", 1),
         (False, 88.0, "12% of the error: all of it is metal", 1),
         (False, 96.0, "4% of the error: none of it is metal", 0),
     ],
 )
 def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camera_ring, tried, monkeypatch, flash, error, words, expected):
+    """A camera's flash makes an object look a little like metal."""
     make, surface = sphere
     monkeypatch.setattr(Found, "metal_gain", 0.15)
     monkeypatch.setattr(Found, "with_metal", error)
