@@ -19,6 +19,8 @@ from .photograph import LeftOut
 from .sparse_model import SparseModel
 from .undistortion import UndistortedImage
 
+MIN_MASKED = 0.5  # fraction of the photographs with a mask from which the others are left out
+
 
 @dataclass(frozen=True, eq=False)
 class CaptureResult:
@@ -110,14 +112,14 @@ def _notes(result: CaptureResult) -> list[str]:
 
 
 def with_object_shown(result: CaptureResult) -> CaptureResult:
-    """Return a result without the photographs that have no mask, where a person's sphere chose the object and others have one.
+    """Return a result without the photographs that have no mask, where others have one.
 
-    Beside the middle of the scene, an object is out of some photographs, and behind other things in others. A dataset of which some
-    photographs lack masks would be reconstructed without any.
+    The object is out of some photographs, and behind other things in others. A dataset of which some photographs lack masks would be
+    reconstructed without any. Where most lack one and no sphere chose the object, all stay.
     """
-    if result.sphere is None or result.found is None:
-        return result
     kept = [i for i, mask in enumerate(result.masks) if mask is not None]
+    if result.found is None or (result.sphere is None and len(kept) < MIN_MASKED * len(result.masks)):
+        return result
     reasons, gone = result.doubtful, {one.view.name for one in result.images} - {result.images[i].view.name for i in kept}
     return replace(
         result,

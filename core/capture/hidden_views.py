@@ -1,37 +1,37 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Photographs in which other things hide the object that a person has chosen: their masks would show less than the object's outline."""
+"""Photographs in which other things hide the object: their masks would show less than its outline, or the thing before it."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
+import cv2
 import numpy as np
 
 from ..scene.camera import Camera
 from .dense_points import MAX_DEPTH_MAP_SIDE, DensePoints
-from .object_region import ObjectRegion, lowest_height
+from .object_region import ObjectRegion
 from .soft_hull import projected_voxels
-from .support_plane import SupportPlane
 
-MAX_HIDDEN = 0.1  # fraction of the object's outline that may be hidden: stray points of stereo hide up to .03
+MAX_HIDDEN = 0.1  # fraction of the object's outline that may be hidden
+# Sides in pixels of a depth map: gaps between the points of a thing are closed, then stray points dropped. On two captures, a box hides .16
+# and .62 of the object so, as much as it does in fact, and .05 and .21 without. Elsewhere things hide .04 at most on six captures; with
+# points that are part of no thing, .09.
+CLOSED_SIDE, DROPPED_SIDE = 5, 5
 MARGIN_VOXELS = 2.0  # voxels by which a thing must be nearer than the object to hide it
 
 
-def hidden_views(cameras: Sequence[Camera], dense: DensePoints, plane: SupportPlane | None, region: ObjectRegion) -> list[bool]:
+def hidden_views(cameras: Sequence[Camera], dense: DensePoints, region: ObjectRegion) -> list[bool]:
     """Return for each view whether other things hide more than MAX_HIDDEN of the object.
 
     Args:
         cameras: cameras of all views.
         dense: dense points of the scene.
-        plane: plane on which the object stands, or None.
-        region: region of the object.
+        region: region of the object, and of other things.
     """
     position = dense.points.position.astype(np.float64)
-    other = region.labels(position) != 1
-    if plane is not None:
-        other &= plane.height(position) > lowest_height(dense, plane)
-    own = region.points()
-    return [len(own) > 0 and _hidden_fraction(camera, own, position[other], region.step) > MAX_HIDDEN for camera in cameras]
+    own, others = region.points(), position[region.labels(position) == 2]
+    return [len(own) > 0 and _hidden_fraction(camera, own, others, region.step) > MAX_HIDDEN for camera in cameras]
 
 
 def _hidden_fraction(camera: Camera, own: np.ndarray, other: np.ndarray, step: float) -> float:
@@ -47,7 +47,14 @@ def _hidden_fraction(camera: Camera, own: np.ndarray, other: np.ndarray, step: f
     padded = np.pad(front, reach, constant_values=np.inf)
     size = 2 * reach + 1
     near[rows, columns] = np.lib.stride_tricks.sliding_window_view(padded, (size, size))[rows, columns].min((-1, -2))
-    return float((between < near - MARGIN_VOXELS * step)[outline].mean())
+    hiding = _without_strays(outline & (between < near - MARGIN_VOXELS * step))
+    return float(hiding[outline].mean())
+
+
+def _without_strays(points: np.ndarray) -> np.ndarray:
+    """Return the areas that pixels (H, W) bool cover, without gaps between them and without stray pixels."""
+    closed = cv2.morphologyEx(points.astype(np.uint8), cv2.MORPH_CLOSE, np.ones((CLOSED_SIDE, CLOSED_SIDE), np.uint8))
+    return cv2.morphologyEx(closed, cv2.MORPH_OPEN, np.ones((DROPPED_SIDE, DROPPED_SIDE), np.uint8)) > 0
 
 
 def _nearest(camera: Camera, points: np.ndarray) -> np.ndarray:

@@ -25,6 +25,7 @@ from .soft_edges import soft_edges
 from .support_plane import SupportPlane, find_support_plane
 
 HIDDEN = "other things hide the object"
+MAX_HIDDEN_FRACTION = 0.25  # of the views; where other things hide it in more of them, it was told badly from these things
 MIN_MASKS = 3  # masks that must be found, and given masks that can stand for a support plane
 
 
@@ -80,8 +81,8 @@ def cut_out(
         dense: dense points of the views, if they were found before, without a sphere.
 
     Returns:
-        The masks, None in views in which other things hide the user's object; None, with a message that says why, where there is no object
-        to cut out.
+        The masks, None in views in which other things hide the object; None, with a message that says why, where there is no object to cut
+        out.
 
     Raises:
         InputError: the user's sphere holds no point of the scene.
@@ -110,7 +111,7 @@ def cut_out(
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
     jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
-    hidden = [False] * len(views) if sphere is None else hidden_views(cameras, dense, plane, region)
+    hidden = _hidden(views, dense, region, sphere is not None, given)
     cutouts = [None if behind else one for one, behind in zip(cutouts, hidden, strict=True)]
     parts = enumerate(zip(views, cutouts, strict=True))
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
@@ -159,6 +160,22 @@ def _region(
         progress.message("masks: stereo sees nothing but the table in the object's sphere; colours and given masks alone tell the object")
         return ObjectRegion(sphere, np.asarray(sphere.centre) - sphere.radius, 2 * sphere.radius, np.zeros((1, 1, 1), np.uint8), [])
     return "nothing stands apart where the cameras look" if plane is not None else "no object stands on a plane or hangs free"
+
+
+def _hidden(
+    views: Sequence[View],
+    dense: DensePoints,
+    region: ObjectRegion,
+    chosen: bool,
+    given: dict[str, np.ndarray],
+) -> list[bool]:
+    """Return for each view whether other things hide the object; where a person has `chosen` it, in given masks, and in most views, too."""
+    hidden = hidden_views([view.camera for view in views], dense, region)
+    if chosen:
+        return hidden
+    if sum(hidden) > MAX_HIDDEN_FRACTION * len(views):
+        return [False] * len(views)
+    return [one and view.name not in given for view, one in zip(views, hidden, strict=True)]
 
 
 def _bound(views: Sequence[View], masks: Sequence[np.ndarray | None], region: ObjectRegion) -> Bound:

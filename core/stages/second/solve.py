@@ -139,7 +139,7 @@ def solve_in_closed_form(
         reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, seen, settings, progress, on_step)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
     starts = [_with_solved_materials(reconstruction, surface, solver, tracer, seen, settings, progress)]
-    if reconstruction.has_split_sum and solver.is_mostly_metal:
+    if reconstruction.has_split_sum and solver.is_all_metal:
         starts = metal_starts(reconstruction, starts[0], solver)
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline, None if metal else surface)
     iterations = scaled_iterations(schedule_scale, settings.second.radiance_iterations)
@@ -170,8 +170,8 @@ def _with_aligned_normals(reconstruction: Reconstruction, surface: Surface, sett
 
 
 def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:
-    """Return True where the first stage or the solver takes the object for metal, which has no diffuse shading."""
-    return is_mostly_metal(reconstruction.gaussians) or solver.is_mostly_metal
+    """Return True where the first stage takes the object for metal, or the solver all of it, so that nothing has diffuse shading."""
+    return is_mostly_metal(reconstruction.gaussians) or solver.is_all_metal
 
 
 def _with_solved_materials(

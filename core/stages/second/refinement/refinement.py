@@ -30,7 +30,7 @@ from ...common.light_map import light_variation
 from ...common.nearest_neighbours import nearest_neighbours
 from ...common.optimizer import GaussianOptimizer, Rate
 from ..held_back import held_back
-from ..metal import METALLIC_THRESHOLD, is_mostly_metal
+from ..metal import METALLIC_THRESHOLD, is_all_metal
 from .pixel_gbuffer import CachedHits, RasterizedViews
 from .pixel_pool import PixelPool, facing_side
 
@@ -86,7 +86,7 @@ class Refinement:
         self.generator = random_generator(reconstruction.environment.device, seed)
         g = reconstruction.gaussians
         self.light = reconstruction.environment.clamp_min(MIN_RADIANCE).log().contiguous().requires_grad_()
-        metal = is_mostly_metal(g)
+        metal = is_all_metal(g)
         # A higher rate of the albedo pays with `albedo_smoothness` alone, which removes its noise.
         table = {"albedo": Rate(2e-2, 0.1), "roughness": Rate(1e-2, 0.1)}
         table["light"] = Rate(5e-3 * (METAL_LIGHT_RATE if metal else 1.0), 0.1)

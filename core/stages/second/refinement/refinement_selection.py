@@ -19,7 +19,7 @@ from ....settings.schema import Settings
 from ...common.preview import albedo_image
 from ...common.skip_rules import decide_skip_rule
 from ...common.time_budget import MAX_SECOND_STAGE_SCALE, scale_schedule, second_stage_schedule_scale
-from ..metal import is_mostly_metal
+from ..metal import is_all_metal
 from ..step_report import report_step
 from .material_confidence import with_confidence
 from .metal_albedo import with_pooled_metal_albedo
@@ -65,7 +65,7 @@ def refine(
     """
     if settings.second.iterations == 0:
         return starts[0], 1.0
-    if is_mostly_metal(starts[0].gaussians):
+    if is_all_metal(starts[0].gaussians):
         settings = replace(settings, second=replace(settings.second, iterations=round(METAL_STEPS_FACTOR * settings.second.iterations)))
     progress.phase("refine", settings.second.iterations)
     pool = pool_pixels(dataset.train, tracer, settings.second.pool, np.random.default_rng(settings.seed), settings.first.subpixels)
@@ -94,7 +94,7 @@ def refine(
 def _by_confidence(result: Reconstruction, pool: PixelPool, tracer: SecondaryTracer, settings: Settings) -> Reconstruction:
     """Return a refined reconstruction with the confidence of its materials, roughness pooled by it, and pooled albedo of metal."""
     known = with_confidence(result, pool, tracer, settings.second, settings.seed)
-    if is_mostly_metal(known.gaussians):  # its materials make up for wrong normals: new views of a teapot lost 1 dB, relit ones .4
+    if is_all_metal(known.gaussians):  # its materials make up for wrong normals: new views of a teapot lost 1 dB, relit ones .4
         return known
     return with_pooled_metal_albedo(with_pooled_roughness(known, settings.seed), settings.seed)
 

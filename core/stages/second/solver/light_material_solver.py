@@ -12,8 +12,7 @@ light. The albedo is eliminated in closed form (variable projection, Golub and P
 Gauss-Newton steps, roughness and metallic come from a grid search, smoothed among neighbours of similar colour (`metal_regions`). At the
 end normals of metal turn towards its reflections (`metal_normals`), and roughness and light settle (`roughness_prior`).
 
-"Light first": the albedo starts as one constant for all points and is released gradually, towards few colours; an albedo that starts
-from the radiance itself would keep all shading.
+"Light first": the albedo starts as one constant and is released gradually, towards few colours. Else it would keep all shading.
 """
 
 from __future__ import annotations
@@ -27,7 +26,6 @@ import numpy as np
 import torch
 
 from ...common.finite_check import require_finite
-from ..metal import MEAN_METALLIC_THRESHOLD
 from .albedo_prior import ALBEDO_RANGE, CONSTANT_STEPS, DARK_ALBEDO, MEDIUM_ALBEDO, SETTLING_WEIGHT, albedo_prior
 from .light_prior import LightPrior
 from .linear_system import damped_step
@@ -110,9 +108,9 @@ class LightMaterialSolver:
         self._update_model()
 
     @property
-    def is_mostly_metal(self) -> bool:
-        """True where the mean metallic of the points is above MEAN_METALLIC_THRESHOLD."""
-        return float(self.metallic.mean()) > MEAN_METALLIC_THRESHOLD
+    def is_all_metal(self) -> bool:
+        """True where all points are metal."""
+        return bool((self.metallic > 0).all())
 
     def advance(self, done: int) -> None:
         """Search the materials where it is time, and do a step.
@@ -188,7 +186,7 @@ class LightMaterialSolver:
 
     def reduce_tint(self) -> None:
         """Move a tint of the light into the albedo as far as the photographs leave it open; nothing shows it on an object of metal."""
-        if self.is_mostly_metal:
+        if self.is_all_metal:
             return
         likely = self._light_prior.likely_tint(self.light, self._curvature, self.error())
         change = (likely - self._light_prior.tint(self.light)).exp()
@@ -269,7 +267,8 @@ class LightMaterialSolver:
         """Keep those regions of candidates as metal that explain the photographs better so, and the light that has adapted to them."""
         without, whole = self._adapted(torch.zeros_like(self.candidates)), self._adapted(self.candidates)
         gain = without.errors - whole.errors
-        regions = measured_regions(self._search.regions(self._search.supported(self.candidates, gain)), whole.solution.roughness, gain)
+        found = self._search.regions(self._search.supported(self.candidates, gain))
+        regions = measured_regions(found, self.samples, whole.solution.roughness, gain)
         best = confirm_metal(regions, without, self._adapted, LightMaterialSolver._metal_colours)
         self.metal_gain = 1 - float(best.errors.sum()) / max(float(without.errors.sum()), 1e-30)
         for name in ("light", "albedo", "robust_weight", "roughness", "metallic"):

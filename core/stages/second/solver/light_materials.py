@@ -19,7 +19,7 @@ from ....scene.surface import Surface
 from ....settings.schema import Settings
 from ...common.finite_check import require_finite
 from ...common.nearest_neighbours import nearest_neighbours
-from ..metal import METALLIC_THRESHOLD, is_mostly_metal
+from ..metal import MEAN_METALLIC_THRESHOLD, METALLIC_THRESHOLD, is_mostly_metal
 from ..secondary_tracer import secondary_tracer
 from ..step_report import report_step
 from .albedo_prior import MEDIUM_ALBEDO
@@ -156,7 +156,7 @@ def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolv
 
     A flash on the camera lights what faces it, as rough metal reflects a light behind the camera.
     """
-    if not solver.is_mostly_metal or is_mostly_metal(reconstruction.gaussians):
+    if float(solver.metallic.mean()) <= MEAN_METALLIC_THRESHOLD or is_mostly_metal(reconstruction.gaussians):
         return False
     return not reconstruction.has_split_sum or solver.metal_gain < MIN_METAL_GAIN
 

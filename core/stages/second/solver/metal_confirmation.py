@@ -8,12 +8,15 @@ the metal that was found: on a figure with a golden belt, the arm rings were mis
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Generic, NamedTuple, TypeVar
 
 import torch
 
+from ....io.srgb import encode_srgb
 from ..metal import MEAN_METALLIC_THRESHOLD
+from .multi_view_samples import MultiViewSamples
 
 # Least gain of a region as a share of the robust error of all samples. Regions of metal gained .0086 and more on capture_ogre (five seeds
 # of the solver), .022 and more on rocker_corner and suzanne_mixed; the small keyhole of a padlock gained .002 to .008, and was missed when
@@ -30,6 +33,8 @@ SHARP_ROUGHNESS, MIN_SHARP_REGION_GAIN = 0.5, 0.0015
 # A large region needs a larger gain: MIN_GAIN_PER_SHARE times its share of the points. Leaves of a captured plant, which are no metal,
 # gained 0.23 and 0.27 times their share in fewer steps; regions of metal on four scenes, 0.35 times and more.
 MIN_GAIN_PER_SHARE = 0.3
+# The same for a region of at least MIN_CHANGING_SHARE of the points whose colours change much from view to view, as reflections do: XXX
+MIN_GAIN_PER_CHANGING_SHARE, MIN_CHANGE, MIN_CHANGING_SHARE = 0.15, 2.5, 0.02
 # Share of a sharp region's least gain that is enough where colours are those of metal. In 13 runs of the solver, on capture_ogre and on a
 # toy car, captured and with masks, 21 regions that were not confirmed before had evidence above 0 by their colours. 19 were mostly metal:
 # 16 of them are confirmed so, and gained .0010 to .0125; the others have 4 points. The two without metal, of 6 and 16 points, gained .0014
@@ -72,11 +77,13 @@ class MetalRegion(NamedTuple):
     Attributes:
         points: (P,) bool.
         roughness: median roughness of its points as metal, each weighted by its gain.
+        change: how much its colours change from view to view, in multiples of how much those of points outside of all regions do.
         like_metal: its colours are those of metal that was found.
     """
 
     points: torch.Tensor
     roughness: float
+    change: float = 1.0
     like_metal: bool = False
 
     @property
@@ -91,7 +98,8 @@ class MetalRegion(NamedTuple):
         # Whether most of an object is metal is decided by other evidence, too: what the first stage found, and what is left without metal.
         if share > MEAN_METALLIC_THRESHOLD:
             return MIN_REGION_GAIN
-        by_share = MIN_GAIN_PER_SHARE * share
+        changes = self.change >= MIN_CHANGE and share >= MIN_CHANGING_SHARE
+        by_share = (MIN_GAIN_PER_CHANGING_SHARE if changes else MIN_GAIN_PER_SHARE) * share
         if self.like_metal:
             return LIKE_METAL_GAIN * max(MIN_SHARP_REGION_GAIN, by_share)
         if self.roughness <= SHARP_ROUGHNESS:
@@ -99,15 +107,25 @@ class MetalRegion(NamedTuple):
         return max(min(max(share, MIN_SMALL_REGION_GAIN), MIN_REGION_GAIN), by_share)
 
 
-def measured_regions(regions: list[torch.Tensor], roughness: torch.Tensor, gain: torch.Tensor) -> list[MetalRegion]:
-    """Return regions with their roughness.
+def measured_regions(
+    regions: list[torch.Tensor], samples: MultiViewSamples, roughness: torch.Tensor, gain: torch.Tensor
+) -> list[MetalRegion]:
+    """Return regions with their roughness, and how much their colours change from view to view.
 
     Args:
         regions: masks (P,) bool.
+        samples: multi-view samples of P points.
         roughness: (P,) of the points as metal.
         gain: (P,) by how much their robust error falls where they are metal.
     """
-    return [MetalRegion(region, _weighted_median(roughness[region], gain[region].clamp_min(0))) for region in regions]
+    if not regions:
+        return []
+    change, others = _colour_change(samples), ~torch.stack(regions).any(0)
+    usual = float(change[others].median()) if bool(others.any()) else math.inf  # nothing to compare with
+    return [
+        MetalRegion(region, _weighted_median(roughness[region], gain[region].clamp_min(0)), float(change[region].median()) / usual)
+        for region in regions
+    ]
 
 
 def confirm_metal(
@@ -143,6 +161,13 @@ def completed_metal(metal: torch.Tensor, adapt: Adapt[Solution]) -> torch.Tensor
         return metal
     mixed, whole = (float(adapt(points).errors.sum()) for points in (metal, torch.ones_like(metal)))
     return torch.ones_like(metal) if whole - mixed <= MIN_REGION_GAIN * mixed else metal
+
+
+def _colour_change(samples: MultiViewSamples) -> torch.Tensor:
+    """Return how much the encoded colours of each point (P,) differ from view to view: standard deviation, root mean square of channels."""
+    colour, count = encode_srgb(samples.colour), samples.lengths[:, None]
+    difference = colour - (samples.sums(colour) / count)[samples.point]
+    return (samples.sums(difference.square()) / count).mean(1).sqrt().clamp_min(1e-6)
 
 
 def _weighted_median(values: torch.Tensor, weight: torch.Tensor) -> float:

@@ -42,7 +42,7 @@ def test_normals_and_painting_do_not_see_them_either(sphere, sphere_dataset, cam
     dataset, counts = sphere_dataset(camera_ring(10, size=16)), []
 
     class Solver:
-        is_mostly_metal = False
+        is_all_metal = False
 
     def improve(reconstruction, surface, solver, tracer, dataset, *_):
         counts.append(len(dataset.train))

@@ -79,7 +79,7 @@ def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, 
         raise Cancelled("enough")
 
     def solved(reconstruction, *_):
-        return SimpleNamespace(is_mostly_metal=False), SecondaryTracer(reconstruction)
+        return SimpleNamespace(is_all_metal=False), SecondaryTracer(reconstruction)
 
     monkeypatch.setattr(transport, "solve_light_materials", solved)
     monkeypatch.setattr(transport, "improve_normals", turn)

@@ -33,10 +33,6 @@ class Found:
     def __init__(self, metal):
         self.metallic = torch.full((10,), float(metal))
 
-    @property
-    def is_mostly_metal(self):
-        return bool(self.metallic.all())
-
     def total_error(self):
         return self.with_metal if self.metallic.any() else 100.0
 

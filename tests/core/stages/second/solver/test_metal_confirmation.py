@@ -1,12 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Regions are metal if the photographs are explained better so; those with the colours of such metal need less."""
 
+from types import SimpleNamespace
+
 import pytest
 import torch
 from irgspp.core.stages.second.solver.metal_confirmation import (
     LIKE_METAL_GAIN,
     MAX_METAL_ROUGHNESS,
+    MIN_CHANGE,
+    MIN_CHANGING_SHARE,
     MIN_EVIDENCE,
+    MIN_GAIN_PER_CHANGING_SHARE,
     MIN_GAIN_PER_SHARE,
     MIN_REGION_GAIN,
     MIN_SHARP_REGION_GAIN,
@@ -19,11 +24,25 @@ from irgspp.core.stages.second.solver.metal_confirmation import (
 )
 
 NONE = torch.zeros(60, dtype=torch.bool)
+ALIKE = torch.full((60,), 0.1)
 
 
 def masks(*ranges):
     """Masks of 60 points."""
     return [(torch.arange(60) >= begin) & (torch.arange(60) < end) for begin, end in ranges]
+
+
+def samples(change):
+    """Three views of each of 60 points, whose brightness differs by `change` (60,) at most."""
+    colour = 0.4 + change[:, None, None] * torch.tensor([0.0, 0.5, 1.0])[None, :, None].expand(60, 3, 3)
+    point = torch.arange(60).repeat_interleave(3)
+    sums = lambda values: values.reshape(60, 3, -1).sum(1)  # noqa: E731
+    return SimpleNamespace(colour=colour.reshape(180, 3), point=point, lengths=torch.full((60,), 3), sums=sums)
+
+
+def measured(regions, roughness, gain, change=ALIKE):
+    """Regions as they are measured."""
+    return measured_regions(regions, samples(change), roughness, gain)
 
 
 def rough(points):
@@ -50,15 +69,25 @@ def test_a_region_of_rough_metal_is_not_sharp():
     roughness = torch.full((60,), 0.9)
     roughness[:10], roughness[30:32] = 0.3, 0.2  # two sharp points do not make the second region sharp
     regions, gain = masks((0, 10), (30, 40)), torch.ones(60)
-    first, second = measured_regions(regions, roughness, gain)
+    first, second = measured(regions, roughness, gain)
     assert first.is_sharp_enough and not second.is_sharp_enough
     assert first.points.equal(regions[0]) and first.roughness == pytest.approx(0.3)
-    assert all(region.is_sharp_enough for region in measured_regions(regions, torch.full((60,), MAX_METAL_ROUGHNESS), gain))
+    assert all(region.is_sharp_enough for region in measured(regions, torch.full((60,), MAX_METAL_ROUGHNESS), gain))
+    assert measured([], roughness, gain) == []
+
+
+def test_regions_are_measured_by_how_much_their_colours_change_from_view_to_view():
+    change = torch.full((60,), 0.02)
+    change[:20], change[30:33] = 0.1, 0.1  # three points of ten do not make the second region change
+    first, second = measured(masks((0, 20), (30, 40)), torch.full((60,), 0.5), torch.ones(60), change)
+    assert 4 < first.change < 5.5 and second.change == pytest.approx(1)  # the encoding compresses the change
+    (whole,) = measured([~NONE], torch.full((60,), 0.5), torch.ones(60), change)
+    assert whole.change < MIN_CHANGE  # nothing to compare with
 
 
 def test_the_points_that_gain_most_tell_how_sharp_a_region_is():
     def sharp_enough():
-        return measured_regions(masks((10, 20)), roughness, gain)[0].is_sharp_enough
+        return measured(masks((10, 20)), roughness, gain)[0].is_sharp_enough
 
     roughness, gain = torch.full((60,), 0.9), torch.full((60,), 0.1)
     roughness[10:13], gain[10:13] = 0.3, 2.0
@@ -111,6 +140,17 @@ def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
 
     assert is_metal(1.1 * needed)
     assert not is_metal(0.9 * needed)
+
+
+def test_large_regions_whose_colours_change_much_need_less_gain():
+    large, small = MIN_CHANGING_SHARE + 0.001, MIN_CHANGING_SHARE - 0.001
+
+    def least_gain(share, change):
+        return MetalRegion(torch.arange(1000) < 1000 * share, SHARP_ROUGHNESS, change).least_gain
+
+    assert least_gain(large, MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_CHANGING_SHARE * large, rel=1e-3)
+    assert least_gain(large, 0.9 * MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_SHARE * large, rel=1e-3)
+    assert least_gain(small, MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_SHARE * small, rel=1e-3)
 
 
 @pytest.mark.parametrize(

@@ -114,13 +114,16 @@ def test_wrong_normals_hide_no_metal_and_make_none():
     assert torch.equal(solver.metallic > 0, metal)
 
 
-@pytest.mark.parametrize(("metallic", "turns"), [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 0.0), 0)])
+@pytest.mark.parametrize(
+    ("metallic", "turns"),
+    [((0.0, 0.0, 0.0), 0), ((1.0, 0.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 0.0), NORMAL_SEARCHES), ((1.0, 1.0, 1.0), 0)],
+)
 def test_a_run_turns_metal_parts_at_its_end(metallic, turns, monkeypatch):
     """Not on an object that is metal as a whole: its normals come from the first stage's reflections."""
     done = []
     solver = SimpleNamespace(
         metallic=torch.tensor(metallic),
-        is_mostly_metal=sum(metallic) > 1.5,
+        is_all_metal=all(metallic),
         advance=lambda step: done.append("step"),
         grow_metal=lambda: done.append("grow"),
         turn_metal=lambda: done.append("turn"),
@@ -129,13 +132,13 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns, monkeypatch):
     )
     monkeypatch.setattr(solver_run, "_glossy_where_better", lambda solver, _: done.append("gloss") or solver)
     run_solver(solver)
-    settles = not solver.is_mostly_metal
+    settles = not all(metallic)
     assert done == ["step"] * STEPS + ["grow"] * bool(turns) + ["turn"] * turns + ["settle", "gloss"] * settles + ["tint"]
 
 
 def test_a_run_that_is_ended_at_its_last_step_turns_nothing():
     done = []
-    metal = {"metallic": torch.tensor([1.0, 0.0, 0.0]), "is_mostly_metal": False}
+    metal = {"metallic": torch.tensor([1.0, 0.0, 0.0]), "is_all_metal": False}
     solver = SimpleNamespace(**metal, advance=done.append, reduce_tint=lambda: done.append("tint"))
     run_solver(solver, on_step=lambda steps: steps == STEPS)
     assert done == [*range(STEPS), "tint"]
