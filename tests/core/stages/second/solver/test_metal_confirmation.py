@@ -8,14 +8,14 @@ import torch
 from irgspp.core.stages.second.solver.metal_confirmation import (
     LIKE_METAL_GAIN,
     MAX_METAL_ROUGHNESS,
-    MIN_CHANGE,
-    MIN_CHANGING_SHARE,
     MIN_EVIDENCE,
-    MIN_GAIN_PER_CHANGING_SHARE,
     MIN_GAIN_PER_SHARE,
+    MIN_GAIN_PER_SHARE_BY_SPREAD,
     MIN_REGION_GAIN,
     MIN_SHARP_REGION_GAIN,
     MIN_SMALL_REGION_GAIN,
+    MIN_SPREAD,
+    MIN_SPREAD_SHARE,
     SHARP_ROUGHNESS,
     Hypothesis,
     MetalRegion,
@@ -32,17 +32,17 @@ def masks(*ranges):
     return [(torch.arange(60) >= begin) & (torch.arange(60) < end) for begin, end in ranges]
 
 
-def samples(change):
-    """Three views of each of 60 points, whose brightness differs by `change` (60,) at most."""
-    colour = 0.4 + change[:, None, None] * torch.tensor([0.0, 0.5, 1.0])[None, :, None].expand(60, 3, 3)
+def samples(spread):
+    """Three views of each of 60 points, whose brightness differs by `spread` (60,) at most."""
+    colour = 0.4 + spread[:, None, None] * torch.tensor([0.0, 0.5, 1.0])[None, :, None].expand(60, 3, 3)
     point = torch.arange(60).repeat_interleave(3)
     sums = lambda values: values.reshape(60, 3, -1).sum(1)  # noqa: E731
     return SimpleNamespace(colour=colour.reshape(180, 3), point=point, lengths=torch.full((60,), 3), sums=sums)
 
 
-def measured(regions, roughness, gain, change=ALIKE):
+def measured(regions, roughness, gain, spread=ALIKE):
     """Regions as they are measured."""
-    return measured_regions(regions, samples(change), roughness, gain)
+    return measured_regions(regions, samples(spread), roughness, gain)
 
 
 def rough(points):
@@ -77,12 +77,12 @@ def test_a_region_of_rough_metal_is_not_sharp():
 
 
 def test_regions_are_measured_by_how_much_their_colours_change_from_view_to_view():
-    change = torch.full((60,), 0.02)
-    change[:20], change[30:33] = 0.1, 0.1  # three points of ten do not make the second region change
-    first, second = measured(masks((0, 20), (30, 40)), torch.full((60,), 0.5), torch.ones(60), change)
-    assert 4 < first.change < 5.5 and second.change == pytest.approx(1)  # the encoding compresses the change
-    (whole,) = measured([~NONE], torch.full((60,), 0.5), torch.ones(60), change)
-    assert whole.change < MIN_CHANGE  # nothing to compare with
+    spread = torch.full((60,), 0.02)
+    spread[:20], spread[30:33] = 0.1, 0.1  # three points of ten do not make the second region change
+    first, second = measured(masks((0, 20), (30, 40)), torch.full((60,), 0.5), torch.ones(60), spread)
+    assert 4 < first.spread < 5.5 and second.spread == pytest.approx(1)  # the encoding compresses the change
+    (whole,) = measured([~NONE], torch.full((60,), 0.5), torch.ones(60), spread)
+    assert whole.spread < MIN_SPREAD  # nothing to compare with
 
 
 def test_the_points_that_gain_most_tell_how_sharp_a_region_is():
@@ -143,14 +143,14 @@ def test_large_regions_must_gain_more_but_for_whole_objects(points, needed):
 
 
 def test_large_regions_whose_colours_change_much_need_less_gain():
-    large, small = MIN_CHANGING_SHARE + 0.001, MIN_CHANGING_SHARE - 0.001
+    large, small = MIN_SPREAD_SHARE + 0.001, MIN_SPREAD_SHARE - 0.001
 
-    def least_gain(share, change):
-        return MetalRegion(torch.arange(1000) < 1000 * share, SHARP_ROUGHNESS, change).least_gain
+    def least_gain(share, spread):
+        return MetalRegion(torch.arange(1000) < 1000 * share, SHARP_ROUGHNESS, spread).least_gain
 
-    assert least_gain(large, MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_CHANGING_SHARE * large, rel=1e-3)
-    assert least_gain(large, 0.9 * MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_SHARE * large, rel=1e-3)
-    assert least_gain(small, MIN_CHANGE) == pytest.approx(MIN_GAIN_PER_SHARE * small, rel=1e-3)
+    assert least_gain(large, MIN_SPREAD) == pytest.approx(MIN_GAIN_PER_SHARE_BY_SPREAD * large, rel=1e-3)
+    assert least_gain(large, 0.9 * MIN_SPREAD) == pytest.approx(MIN_GAIN_PER_SHARE * large, rel=1e-3)
+    assert least_gain(small, MIN_SPREAD) == pytest.approx(MIN_GAIN_PER_SHARE * small, rel=1e-3)
 
 
 @pytest.mark.parametrize(
