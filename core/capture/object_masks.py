@@ -25,7 +25,8 @@ from .soft_edges import soft_edges
 from .support_plane import SupportPlane, find_support_plane
 
 HIDDEN = "other things hide the object"
-MAX_HIDDEN_FRACTION = 0.25  # of the views; where other things hide it in more of them, it was told badly from these things
+# Fraction of the views in which other things may hide the object. In more of them, these things are rather parts of it, or beside it.
+MAX_HIDDEN_VIEWS = 0.25
 MIN_MASKS = 3  # masks that must be found, and given masks that can stand for a support plane
 
 
@@ -111,7 +112,7 @@ def cut_out(
     of_view = [(given.get(view.name), background.get(view.name)) for view in views]
     jobs = [(view, maps.get(i), region, ground, *of_view[i]) for i, view in enumerate(views)]
     cutouts = list(run_jobs(prepare_cutout, jobs))
-    hidden = _hidden(views, dense, region, sphere is not None, given)
+    hidden = _hidden(views, dense, region, sphere, given, progress)
     cutouts = [None if behind else one for one, behind in zip(cutouts, hidden, strict=True)]
     parts = enumerate(zip(views, cutouts, strict=True))
     masked = [MaskedView(view.name, view.camera, view.colour, cutout, i in maps) for i, (view, cutout) in parts]
@@ -166,14 +167,19 @@ def _hidden(
     views: Sequence[View],
     dense: DensePoints,
     region: ObjectRegion,
-    chosen: bool,
+    sphere: Bound | None,
     given: dict[str, np.ndarray],
+    progress: Progress,
 ) -> list[bool]:
-    """Return for each view whether other things hide the object; where a person has `chosen` it, in given masks, and in most views, too."""
+    """Return for each view whether other things hide the object, so that no mask is made of it.
+
+    Without the person's sphere, given masks stay, and all views where the object is hidden in more than MAX_HIDDEN_VIEWS of them.
+    """
     hidden = hidden_views([view.camera for view in views], dense, region)
-    if chosen:
+    if sphere is not None:
         return hidden
-    if sum(hidden) > MAX_HIDDEN_FRACTION * len(views):
+    if sum(hidden) > MAX_HIDDEN_VIEWS * len(views):
+        progress.message(f"masks: other things seem to hide the object in {sum(hidden)} of {len(views)} photographs; all are used")
         return [False] * len(views)
     return [one and view.name not in given for view, one in zip(views, hidden, strict=True)]
 

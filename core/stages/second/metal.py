@@ -26,7 +26,7 @@ def is_all_metal(gaussians: Gaussians) -> bool:
     """Return True where all surfels are metal.
 
     Only then the first stage's reflections know light and normals best. A lantern, 60 % metal, gains 4 dB of albedo and 2 dB of light where
-    it is refined like an object with metal parts.
+    it is solved and refined like an object with metal parts.
     """
     return bool((gaussians.materials()[METALLIC] > METALLIC_THRESHOLD).all())
 

@@ -4,7 +4,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 from irgspp.core.capture.hidden_views import hidden_views
-from irgspp.core.capture.object_masks import MAX_HIDDEN_FRACTION, _hidden
+from irgspp.core.capture.object_masks import MAX_HIDDEN_VIEWS, _hidden
 from irgspp.core.capture.object_region import ObjectRegion
 from irgspp.core.scene.camera import Camera, look_at
 from irgspp.core.scene.dataset import Bound
@@ -59,11 +59,14 @@ def test_a_view_without_the_object_is_not_hidden(region):
 def test_given_masks_stay_and_so_do_all_where_many_views_are_hidden(region):
     behind = Camera(320, 240, 300.0, 300.0, 160.0, 120.0, look_at(np.array([0.0, 4.0, 0.0]), np.zeros(3)))
 
-    def hidden(few, chosen=False, given=()):
-        views = [SimpleNamespace(name=f"v{i}", camera=CAMERA if i < few else behind) for i in range(8)]
-        return _hidden(views, dense(box(0.0)), region, chosen, dict.fromkeys(given, np.ones((240, 320))))
+    sphere, messages = Bound((0.0, 0.0, 0.0), 0.5), []
 
-    most = int(MAX_HIDDEN_FRACTION * 8)
-    assert sum(hidden(most)) == most and hidden(most, given=["v0"])[0] is False
-    assert not any(hidden(most + 1))
-    assert sum(hidden(most + 1, chosen=True, given=["v0"])) == most + 1  # a person's sphere is followed
+    def hidden(few, sphere=None, given=()):
+        views = [SimpleNamespace(name=f"v{i}", camera=CAMERA if i < few else behind) for i in range(8)]
+        masks = dict.fromkeys(given, np.ones((240, 320)))
+        return _hidden(views, dense(box(0.0)), region, sphere, masks, SimpleNamespace(message=messages.append))
+
+    most = int(MAX_HIDDEN_VIEWS * 8)
+    assert sum(hidden(most)) == most and hidden(most, given=["v0"])[0] is False and not messages
+    assert not any(hidden(most + 1)) and f"in {most + 1} of 8 photographs" in messages[0]
+    assert sum(hidden(most + 1, sphere, ["v0"])) == most + 1  # a person's sphere is followed

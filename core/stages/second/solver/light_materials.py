@@ -112,7 +112,7 @@ def solve_light_materials(
     search_metal = dataset.has_alpha or reconstruction.has_split_sum
     solver = _solve_from_first_stage(inputs, search_metal, progress)
     if _is_doubtful_metal(reconstruction, solver):
-        progress.message("the solver takes the whole object for metal, but the first stage does not: solved again without metal")
+        progress.message("the solver takes the object for metal, or most of it, but the first stage does not: solved again without metal")
         without_metal = _solve_from_first_stage(inputs, False, progress)
         least = MIN_EXPLAINED_SHARE_BY_FLASH if moves_with_camera(samples) else MIN_EXPLAINED_SHARE
         solver = _decide_metal(solver, without_metal, reconstruction.has_split_sum, least, progress)
@@ -170,7 +170,7 @@ def _decide_metal(
     if not reflects:
         progress.message(f"{explained}, but the first stage found no reflections: none of it is metal")
         return without_metal
-    progress.message(f"{explained}: {'all' if share > least else 'none'} of it is metal")
+    progress.message(f"{explained}: {'metal is kept' if share > least else 'none of it is metal'}")
     return metal if share > least else without_metal
 
 

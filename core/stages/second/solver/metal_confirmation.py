@@ -101,8 +101,8 @@ class MetalRegion(NamedTuple):
         # Whether most of an object is metal is decided by other evidence, too: what the first stage found, and what is left without metal.
         if share > MEAN_METALLIC_THRESHOLD:
             return MIN_REGION_GAIN
-        spreads = self.spread >= MIN_SPREAD and share >= MIN_SPREAD_SHARE
-        by_share = (MIN_GAIN_PER_SHARE_BY_SPREAD if spreads else MIN_GAIN_PER_SHARE) * share
+        varies = self.spread >= MIN_SPREAD and share >= MIN_SPREAD_SHARE
+        by_share = (MIN_GAIN_PER_SHARE_BY_SPREAD if varies else MIN_GAIN_PER_SHARE) * share
         if self.like_metal:
             return LIKE_METAL_GAIN * max(MIN_SHARP_REGION_GAIN, by_share)
         if self.roughness <= SHARP_ROUGHNESS:

@@ -71,8 +71,8 @@ def test_what_may_be_metal(sphere, sphere_dataset, camera_ring, tried, masked, g
     ("flash", "error", "words", "expected"),
     [
         (True, 88.0, "metal explains 12% of the error: none of it is metal", 0),
-        (True, 82.0, "18% of the error: all of it is metal", 1),
-        (False, 88.0, "12% of the error: all of it is metal", 1),
+        (True, 82.0, "18% of the error: metal is kept", 1),
+        (False, 88.0, "12% of the error: metal is kept", 1),
         (False, 96.0, "4% of the error: none of it is metal", 0),
     ],
 )
