@@ -25,10 +25,14 @@ MAX_TEXTURE = 768  # texels along a side
 MASK_CLEARANCE = 0.006  # distance that a texel keeps from the object's mask, in the image's longest sides
 ROUNDS, GAP_ROUNDS = 2, 4  # of the robust mean, and of that of gaps, where some views see the object
 MIN_AGREEING_FRACTION = 0.5  # fraction of the views of a texel in a gap that must agree
-# Least contrast of the colours in a gap, and the same as a share of the table's median, for the gap to show the table. Views also agree on
-# a plain wall of the object, whichever part of it they show. Walls of a watering can and a mug have .004 to .013, the tables .03 and .1.
-MIN_GAP_CONTRAST, MIN_GAP_CONTRAST_SHARE = 0.02, 0.5
-CONTRAST_SIGMA = 2.0  # texels, sigma of the window in which it is measured
+# Least contrast of the colours in a gap that shows the table. Views also agree on a plain wall of the object, whichever part of it they
+# show. Walls of a watering can and a mug have .004 to .013, the tables .03 and .1.
+MIN_GAP_CONTRAST = 0.02
+# Largest disagreement in such a gap, and the same in multiples of the table's median: deviation between views over deviation between
+# neighbouring texels. Views agree that the sole of a boot is dark, but on no pattern: 1.3 to 3 in most of it, 3 to 10 on the plain walls;
+# tables with a pattern have .2 to .7, plain ones 3 to 8.
+MAX_DISAGREEMENT, MAX_DISAGREEMENT_RATIO = 1.2, 1.5
+WINDOW_SIGMA = 2.0  # texels, sigma of the window in which both are measured
 NOISE_DIFFERENCE = 0.06  # difference, encoded, at which a view's weight in the robust mean falls to a quarter
 PHOTOGRAPHS_AT_ONCE = 8  # photographs that are in memory as texels
 MIN_WEIGHT = 2.0  # sum of the weights of a texel's views from which it is known
@@ -90,38 +94,60 @@ def plane_texture(
         views = zip(images, hidden, cameras, strict=True)
         return [(image, _free(one, clear), camera, frame, side) for image, one, camera in views if one is not None]
 
-    mean, weight, _ = _robust_mean(jobs(masks, MASK_CLEARANCE, frame, side), side, ROUNDS)
+    mean, weight, _, variance = _robust_mean(jobs(masks, MASK_CLEARANCE, frame, side), side, ROUNDS)
     known = weight > MIN_WEIGHT
     if on_object is not None:
         begin, width = side // 4, side - 2 * (side // 4)  # the object, and enough around it to tell each photograph's exposure
         part = (slice(begin, begin + width), slice(begin, begin + width))
         shifted = frame @ np.array([[1.0, 0, begin], [0, 1, begin], [0, 0, 1]])
-        through, weight, count = _robust_mean(
+        through, weight, count, between = _robust_mean(
             jobs(on_object, MASK_CLEARANCE / 2, shifted, width), width, GAP_ROUNDS, (mean[part], known[part])
         )
         gap = ~known[part] & (weight > MIN_WEIGHT) & (weight > MIN_AGREEING_FRACTION * count)
-        gap &= _contrast(through, gap) > _least_contrast(mean, known)
+        most = _most_disagreement(mean[part], known[part], variance[part])
+        gap &= (_contrast(through, gap) > MIN_GAP_CONTRAST) & ~_without_pattern(through, gap, between, most)
         mean[part], known[part] = np.where(gap[..., None], through, mean[part]), known[part] | gap
     return PlaneTexture(mean, known.astype(np.float32), frame)
 
 
-def _least_contrast(colour: np.ndarray, known: np.ndarray) -> float:
-    """Return the contrast from which a gap can show the table, whose colours (h, w, 3) are known at some texels (h, w) bool."""
-    table = _contrast(colour, known)[known]
-    return max(MIN_GAP_CONTRAST, MIN_GAP_CONTRAST_SHARE * float(np.median(table))) if len(table) else MIN_GAP_CONTRAST
+def _most_disagreement(colour: np.ndarray, known: np.ndarray, variance: np.ndarray) -> float:
+    """Return the disagreement up to which a gap can show the table, whose colours (h, w, 3) are known at some texels (h, w) bool."""
+    table = _disagreement(colour, known, variance)[known]
+    return max(MAX_DISAGREEMENT, MAX_DISAGREEMENT_RATIO * float(np.median(table))) if len(table) else MAX_DISAGREEMENT
+
+
+def _without_pattern(colour: np.ndarray, gap: np.ndarray, variance: np.ndarray, most: float) -> np.ndarray:
+    """Return the texels (h, w) bool of a gap on whose pattern views do not agree, and those beside them, whose window reaches there."""
+    found = (gap & (_disagreement(colour, gap, variance) > most)).astype(np.uint8)
+    reach = 2 * round(2 * WINDOW_SIGMA) + 1
+    return cv2.dilate(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), np.ones((reach, reach), np.uint8)) > 0
+
+
+def _disagreement(colour: np.ndarray, known: np.ndarray, variance: np.ndarray) -> np.ndarray:
+    """Return (h, w): standard deviation between views over that between the known texels (h, w) bool around each texel."""
+    mean, square, between = (_windowed(values, known) for values in (colour, colour * colour, variance))
+    return np.sqrt(between / np.maximum((square - mean * mean).mean(-1), 1e-8))
 
 
 def _contrast(colour: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return (h, w): standard deviation over mean of the brightness of known texels (h, w) bool around each texel; colour: (h, w, 3)."""
-    grey, weight = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY), known.astype(np.float32)
-    total, mean, square = (cv2.GaussianBlur(one, (0, 0), CONTRAST_SIGMA) for one in (weight, weight * grey, weight * grey * grey))
-    mean, square = mean / np.maximum(total, 1e-3), square / np.maximum(total, 1e-3)
+    grey = cv2.cvtColor(colour, cv2.COLOR_RGB2GRAY)
+    mean, square = _windowed(grey, known), _windowed(grey * grey, known)
     return np.sqrt(np.maximum(square - mean * mean, 0)) / np.maximum(mean, 1e-3)
+
+
+def _windowed(values: np.ndarray, known: np.ndarray) -> np.ndarray:
+    """Return the mean of values (h, w) or (h, w, C) over the known texels (h, w) bool in the window around each texel."""
+    weight = known.astype(np.float32)
+    total = np.maximum(cv2.GaussianBlur(weight, (0, 0), WINDOW_SIGMA), 1e-3)
+    if values.ndim == 3:
+        weight, total = weight[..., None], total[..., None]
+    return cv2.GaussianBlur(values * weight, (0, 0), WINDOW_SIGMA) / total
 
 
 def _robust_mean(
     jobs: Sequence[_Job], side: int, rounds: int, reference: tuple[np.ndarray, np.ndarray] | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Average photographs on the plane, with less weight where they differ from the mean of the round before.
 
     Args:
@@ -131,23 +157,25 @@ def _robust_mean(
         reference: colours (side, side, 3), and (side, side) True where they tell exposures; None: the mean of the round before does.
 
     Returns:
-        The mean (side, side, 3), and the sum of weights and the number of views of each texel (side, side).
+        The mean (side, side, 3), and the sum of weights, the number of views, and the variance between views of each texel (side, side).
     """
-    mean, weight, count = np.zeros((side, side, 3), np.float32), *np.zeros((2, side, side), np.float32)
+    mean, weight, count, variance = np.zeros((side, side, 3), np.float32), *np.zeros((3, side, side), np.float32)
     for turn in range(rounds):
         exposure = reference if reference is not None else (mean, weight > MIN_WEIGHT)
-        total, sum_of_weights, count = np.zeros_like(mean), np.full_like(weight, 1e-6), np.zeros_like(weight)
+        total, sum_of_weights, count, squares = np.zeros_like(mean), np.full_like(weight, 1e-6), *np.zeros((2, side, side), np.float32)
         for colour, seen in chain.from_iterable(
             run_jobs(_on_plane, jobs[k : k + PHOTOGRAPHS_AT_ONCE]) for k in range(0, len(jobs), PHOTOGRAPHS_AT_ONCE)
         ):
             count += seen
             colour = colour * _gain(exposure[0], colour, seen * exposure[1])
+            difference = np.square(colour - mean).mean(-1)
             if turn > 0:
-                seen = seen / (1 + np.square(colour - mean).mean(-1) / NOISE_DIFFERENCE**2) ** 2
+                seen = seen / (1 + difference / NOISE_DIFFERENCE**2) ** 2
             total += seen[..., None] * colour
             sum_of_weights += seen
-        mean, weight = total / sum_of_weights[..., None], sum_of_weights
-    return mean, weight, count
+            squares += seen * difference
+        mean, weight, variance = total / sum_of_weights[..., None], sum_of_weights, squares / sum_of_weights
+    return mean, weight, count, variance
 
 
 def _frame(cameras: Sequence[Camera], plane: SupportPlane, bound: Bound) -> tuple[np.ndarray, int]:

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Texture of the support plane, and the evidence that pixels show it, against a table whose pattern is known."""
 
+import cv2
 import numpy as np
 import pytest
 from irgspp.core.capture.background_evidence import background_evidence, plane_differences
@@ -111,5 +112,18 @@ def test_a_plain_wall_on_which_views_agree_is_not_the_table():
     filled, rim = balls(cams, 0.45), [np.zeros((HEIGHT, WIDTH), np.float32) for _ in cams]  # stereo sees nothing of the wall
     for colour, mask in zip(colours, filled, strict=True):
         colour[mask > 0] = wall
+    without, texture = (plane_texture(colours, cams, filled, PLANE, BOUND, one) for one in (None, rim))
+    assert texture.known.sum() < without.known.sum() * 1.01
+
+
+def test_a_dark_part_is_not_the_table():
+    """Views agree that it is dark, and next to nothing its little shading has contrast enough, but no two views show the same there."""
+    cams = cameras()
+    colours, _ = photographs(cams, np.array([0.1, 0.1, 0.1]))
+    filled, rim = balls(cams, 0.45), [np.zeros((HEIGHT, WIDTH), np.float32) for _ in cams]
+    random = np.random.default_rng(0)
+    for colour, mask in zip(colours, filled, strict=True):
+        shade = cv2.GaussianBlur(random.standard_normal((HEIGHT, WIDTH)).astype(np.float32), (0, 0), 3.0)
+        colour[mask > 0] = (0.12 + 0.02 * shade / shade.std())[mask > 0][:, None]
     without, texture = (plane_texture(colours, cams, filled, PLANE, BOUND, one) for one in (None, rim))
     assert texture.known.sum() < without.known.sum() * 1.01
