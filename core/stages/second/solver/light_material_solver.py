@@ -198,16 +198,16 @@ class LightMaterialSolver:
 
     def total_error(self) -> float:
         """Return the robust error of all samples."""
-        return float(self._robust_errors().sum())
+        return float(self.point_errors().sum())
 
-    def _robust_errors(self) -> torch.Tensor:
+    def point_errors(self) -> torch.Tensor:
         """Return the robust error (P,) of each point."""
         return robust_error(self.samples, self._radiance(*self._model.terms(self.light)), self.derivative)
 
     def _follow(self, steps: int, prior_weight: float | None = None) -> None:
         """Let the light follow changed normals or materials; from now on, points of metal that fit badly count less for it."""
         self._update_model()
-        self._trust = metal_trust(self._robust_errors() / self.samples.lengths, self.metallic > 0)
+        self._trust = metal_trust(self.point_errors() / self.samples.lengths, self.metallic > 0)
         for _ in range(steps):
             self._step(STEPS, prior_weight)
 
@@ -282,7 +282,7 @@ class LightMaterialSolver:
         trial._set_materials(trial._costs(), metal)
         for _ in range(TEST_STEPS):
             trial._step(STEPS)
-        return Hypothesis(metal, trial, trial._robust_errors())
+        return Hypothesis(metal, trial, trial.point_errors())
 
     def _metal_colours(self, metal: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
         """Compare colours with those of the metal points `metal` (P,) bool, see `MaterialSearch.metal_colours`."""

@@ -16,6 +16,7 @@ from irgspp.core.stages.second.solver.solver_run import (
     START_STEPS,
     TOTAL_STEPS,
     _glossy_where_better,
+    _with_final_metal,
     run_solver,
 )
 from sphere_on_floor import make, rendered, start
@@ -30,8 +31,8 @@ def scene():
 def settled(scene):
     """A solver run to its end, the steps that were told, and the change of its roughness by a further pass."""
     transfer, seen, _ = scene
-    solver, told = start(seen, transfer), []
-    run_solver(solver, on_step=told.append)
+    told = []
+    solver = run_solver(start(seen, transfer), on_step=told.append)
     return solver, told, solver.copied().settle()
 
 
@@ -101,9 +102,8 @@ def test_steps_are_told_once_each_and_may_end_the_run(scene, idle, last):
 def test_light_and_roughness_settle(scene, settled, monkeypatch):
     transfer, seen, (light, _, roughness, metallic) = scene
     done, told, change = settled
-    unsettled = start(seen, transfer)
     monkeypatch.setattr(solver_run, "TOTAL_STEPS", STEPS)  # no pass
-    run_solver(unsettled)
+    unsettled = run_solver(start(seen, transfer))
     assert told[-1] <= TOTAL_STEPS and told[:STEPS] == list(range(1, STEPS + 1))
     assert change < unsettled.settle()
     dull = metallic == 0
@@ -111,6 +111,22 @@ def test_light_and_roughness_settle(scene, settled, monkeypatch):
     assert gloss < before
     error, error_before = (float((solver.light / light).log().abs().mean()) for solver in (done, unsettled))
     assert error < error_before
+
+
+@pytest.mark.parametrize(("share", "loss", "taken"), [(0.3, 1.1, True), (0.3, 1.2, False), (0.15, 1.2, True)])
+def test_metal_that_more_than_doubles_must_not_be_explained_worse(scene, monkeypatch, share, loss, taken):
+    """A tenth of the points is metal, then `share`; the errors of all points are `loss` times as large where it grew."""
+    transfer, seen, _ = scene
+    solver, turned = start(seen, transfer), []
+    few, many = (torch.arange(len(solver.metallic)) < part * len(solver.metallic) for part in (0.1, share))
+    solver.metallic = few.float()
+    monkeypatch.setattr(LightMaterialSolver, "grow_metal", lambda self: setattr(self, "metallic", many.float()))
+    monkeypatch.setattr(LightMaterialSolver, "turn_metal", lambda self: turned.append(self))
+    error = lambda self: torch.full_like(self.metallic, loss if bool((self.metallic > few).any()) else 1.0)  # noqa: E731
+    monkeypatch.setattr(LightMaterialSolver, "point_errors", error)
+    found, ended = _with_final_metal(solver, lambda done: None)
+    assert not ended and turned[-1] is found
+    assert bool((found.metallic > 0).equal(many if taken else few)) and bool((solver.metallic > 0).equal(few))
 
 
 @pytest.fixture(scope="module")
