@@ -37,6 +37,7 @@ NOISE_DIFFERENCE = 0.06  # difference, encoded, at which a view's weight in the 
 PHOTOGRAPHS_AT_ONCE = 8  # photographs that are in memory as texels
 MIN_WEIGHT = 2.0  # sum of the weights of a texel's views from which it is known
 _Job = tuple[np.ndarray, np.ndarray, Camera, np.ndarray, int]
+_RobustMean = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # as returned by `_robust_mean`
 
 
 @dataclass(frozen=True, eq=False)
@@ -100,14 +101,24 @@ def plane_texture(
         begin, width = side // 4, side - 2 * (side // 4)  # the object, and enough around it to tell each photograph's exposure
         part = (slice(begin, begin + width), slice(begin, begin + width))
         shifted = frame @ np.array([[1.0, 0, begin], [0, 1, begin], [0, 0, 1]])
-        through, weight, count, between = _robust_mean(
-            jobs(on_object, MASK_CLEARANCE / 2, shifted, width), width, GAP_ROUNDS, (mean[part], known[part])
-        )
-        gap = ~known[part] & (weight > MIN_WEIGHT) & (weight > MIN_AGREEING_FRACTION * count)
-        most = _most_disagreement(mean[part], known[part], variance[part])
-        gap &= (_contrast(through, gap) > MIN_GAP_CONTRAST) & ~_without_pattern(through, gap, between, most)
-        mean[part], known[part] = np.where(gap[..., None], through, mean[part]), known[part] | gap
+        table = mean[part], known[part]
+        found = _robust_mean(jobs(on_object, MASK_CLEARANCE / 2, shifted, width), width, GAP_ROUNDS, table)
+        gap = _shown_through(found, known[part], _most_disagreement(*table, variance[part]))
+        mean[part], known[part] = np.where(gap[..., None], found[0], mean[part]), known[part] | gap
     return PlaneTexture(mean, known.astype(np.float32), frame)
+
+
+def _shown_through(found: _RobustMean, known: np.ndarray, most: float) -> np.ndarray:
+    """Return the texels (h, w) bool of gaps that show the table.
+
+    Args:
+        found: what the views show where stereo sees no object.
+        known: (h, w) bool, texels that no mask hides.
+        most: largest disagreement.
+    """
+    colour, weight, count, variance = found
+    gap = ~known & (weight > MIN_WEIGHT) & (weight > MIN_AGREEING_FRACTION * count)
+    return gap & (_contrast(colour, gap) > MIN_GAP_CONTRAST) & ~_without_pattern(colour, gap, variance, most)
 
 
 def _most_disagreement(colour: np.ndarray, known: np.ndarray, variance: np.ndarray) -> float:
@@ -145,9 +156,7 @@ def _windowed(values: np.ndarray, known: np.ndarray) -> np.ndarray:
     return cv2.GaussianBlur(values * weight, (0, 0), WINDOW_SIGMA) / total
 
 
-def _robust_mean(
-    jobs: Sequence[_Job], side: int, rounds: int, reference: tuple[np.ndarray, np.ndarray] | None = None
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def _robust_mean(jobs: Sequence[_Job], side: int, rounds: int, reference: tuple[np.ndarray, np.ndarray] | None = None) -> _RobustMean:
     """Average photographs on the plane, with less weight where they differ from the mean of the round before.
 
     Args:

@@ -92,11 +92,11 @@ def _with_final_metal(solver: LightMaterialSolver, on_step: Callable[[int], bool
     """Draw the borders of metal anew, and search its normals.
 
     Args:
-        solver: a solver after its steps.
+        solver: a solver after its steps; it may be modified.
         on_step: called as by `run_solver`.
 
     Returns:
-        A copy with metal that grew, or one without that where it is clearly worse; and whether `on_step` ended the run.
+        A copy with metal that grew, or the solver without that where it is clearly worse; and whether `on_step` ended the run.
     """
     if not bool((solver.metallic > 0).any()):
         return solver, False
@@ -105,8 +105,7 @@ def _with_final_metal(solver: LightMaterialSolver, on_step: Callable[[int], bool
     ended = _turn_metal(grown, on_step)
     if ended or not _has_grown_wrongly(solver, grown):
         return grown, ended
-    kept = solver.copied()
-    return kept, _turn_metal(kept, on_step)
+    return solver, _turn_metal(solver, on_step)
 
 
 def _turn_metal(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> bool:
