@@ -132,6 +132,4 @@ def start(seen, transfer, seed=0):
 
 def solved(seen, transfer, seed=0):
     """Return a light-material solver that has run to its end."""
-    solver = start(seen, transfer, seed)
-    run_solver(solver)
-    return solver
+    return run_solver(start(seen, transfer, seed))

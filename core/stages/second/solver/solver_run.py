@@ -92,20 +92,20 @@ def _with_final_metal(solver: LightMaterialSolver, on_step: Callable[[int], bool
     """Draw the borders of metal anew, and search its normals.
 
     Args:
-        solver: a solver after its steps; it may be modified.
+        solver: a solver after its steps; it is modified.
         on_step: called as by `run_solver`.
 
     Returns:
-        A copy with metal that grew, or the solver without that where it is clearly worse; and whether `on_step` ended the run.
+        The solver with metal that grew, or a copy without that where it is clearly worse; and whether `on_step` ended the run.
     """
     if not bool((solver.metallic > 0).any()):
         return solver, False
-    grown = solver.copied()
-    grown.grow_metal()
-    ended = _turn_metal(grown, on_step)
-    if ended or not _has_grown_wrongly(solver, grown):
-        return grown, ended
-    return solver, _turn_metal(solver, on_step)
+    before = solver.copied()
+    solver.grow_metal()
+    ended = _turn_metal(solver, on_step)
+    if ended or not _has_grown_wrongly(before, solver):
+        return solver, ended
+    return before, _turn_metal(before, on_step)
 
 
 def _turn_metal(solver: LightMaterialSolver, on_step: Callable[[int], bool | None]) -> bool:

@@ -125,6 +125,7 @@ def test_a_run_turns_metal_parts_at_its_end(metallic, turns, monkeypatch):
         metallic=torch.tensor(metallic),
         is_all_metal=all(metallic),
         advance=lambda step: done.append("step"),
+        copied=lambda: solver,
         grow_metal=lambda: done.append("grow"),
         turn_metal=lambda: done.append("turn"),
         settle=lambda: done.append("settle") or 0.0,

@@ -126,7 +126,7 @@ def test_metal_that_more_than_doubles_must_not_be_explained_worse(scene, monkeyp
     monkeypatch.setattr(LightMaterialSolver, "point_errors", error)
     found, ended = _with_final_metal(solver, lambda done: None)
     assert not ended and turned[-1] is found
-    assert bool((found.metallic > 0).equal(many if taken else few)) and bool((solver.metallic > 0).equal(few))
+    assert (found.metallic > 0).equal(many if taken else few) and (found is solver) == taken
 
 
 @pytest.fixture(scope="module")
