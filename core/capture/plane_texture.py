@@ -114,7 +114,7 @@ def _shown_through(found: _RobustMean, known: np.ndarray, most: float) -> np.nda
     Args:
         found: what the views show where stereo sees no object.
         known: (h, w) bool, texels that no mask hides.
-        most: largest disagreement.
+        most: largest disagreement of such texels, see `_disagreement`.
     """
     colour, weight, count, variance = found
     gap = ~known & (weight > MIN_WEIGHT) & (weight > MIN_AGREEING_FRACTION * count)
@@ -130,8 +130,9 @@ def _most_disagreement(colour: np.ndarray, known: np.ndarray, variance: np.ndarr
 def _without_pattern(colour: np.ndarray, gap: np.ndarray, variance: np.ndarray, most: float) -> np.ndarray:
     """Return the texels (h, w) bool of a gap on whose pattern views do not agree, and those beside them, whose window reaches there."""
     found = (gap & (_disagreement(colour, gap, variance) > most)).astype(np.uint8)
+    found = cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))  # a few texels are noise
     reach = 2 * round(2 * WINDOW_SIGMA) + 1
-    return cv2.dilate(cv2.morphologyEx(found, cv2.MORPH_OPEN, np.ones((3, 3), np.uint8)), np.ones((reach, reach), np.uint8)) > 0
+    return cv2.dilate(found, np.ones((reach, reach), np.uint8)) > 0
 
 
 def _disagreement(colour: np.ndarray, known: np.ndarray, variance: np.ndarray) -> np.ndarray:

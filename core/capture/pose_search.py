@@ -22,8 +22,9 @@ from .photograph import Photograph
 from .registration_report import check_features, check_matches, is_panoramic
 from .turntable import Turntable
 
-# Fraction of the photographs that a run must register; otherwise more costly runs follow. On a plain object and table, 25 of 30 fitted
-# together by weak matches, one with a wrong pose; later runs found 27 poses, and their mean error fell from .27 to .09 %.
+# Fraction of the photographs that a run must register; otherwise more costly runs follow. Of a plain object on a plain table, 25 of 30
+# photographs fitted together by weak matches, one of them 1.3 % of its distance away from its place. Later runs found 27 poses, and the
+# root mean square of the errors fell from .27 to .09 %.
 MIN_REGISTERED_FRACTION = 0.9
 
 MIN_FIRST_MATCHES = 60  # matches of a photograph with all others, found without guidance, by which alone its pose is fitted

@@ -117,7 +117,7 @@ def test_a_plain_wall_on_which_views_agree_is_not_the_table():
 
 
 def test_a_dark_part_is_not_the_table():
-    """Views agree that it is dark, and next to nothing its little shading has contrast enough, but no two views show the same there."""
+    """Views agree that it is dark, and relative to that its faint shading has contrast enough, but each view shows another pattern."""
     cams = cameras()
     colours, _ = photographs(cams, np.array([0.1, 0.1, 0.1]))
     filled, rim = balls(cams, 0.45), [np.zeros((HEIGHT, WIDTH), np.float32) for _ in cams]
