@@ -114,7 +114,7 @@ class Relighter:
         return dataclasses.replace(surface, divided=DividedHits.of(surface, self._refined(rays)))
 
     def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None) -> GBuffer:
-        """Return the G-buffer of a camera, with the normals it is shaded by and the texture's albedo, not multiplied by `albedo_scale`.
+        """Return the G-buffer of a camera: the mesh's depth, the normals it is shaded by, the texture's albedo without `albedo_scale`.
 
         Args:
             camera: the camera.
@@ -125,8 +125,8 @@ class Relighter:
             return buffers
         surface = surface or self.surface(camera)
         index = surface.index.cpu().numpy()
-        layers = {"normal": buffers.normal.copy()}
-        layers["normal"].reshape(-1, 3)[index] = surface.normal.cpu()
+        layers = {"normal": buffers.normal.copy(), "depth": buffers.depth.copy()}
+        layers["normal"].reshape(-1, 3)[index], layers["depth"].reshape(-1)[index] = surface.normal.cpu(), self.mesh.depth(surface).cpu()
         if self.mesh.albedo is not None:
             layers["albedo"] = buffers.albedo.copy()
             layers["albedo"].reshape(-1, 3)[index] = (surface.mean_albedo() / self._scale.clamp_min(1e-6)).cpu()
