@@ -20,6 +20,7 @@ from .matching import MAX_AFFORDABLE, MAX_EXHAUSTIVE, Pairs, every_pair, match_f
 from .model_agreement import contradicts
 from .photograph import Photograph
 from .registration_report import check_features, check_matches, is_panoramic
+from .static_features import drop_static_features
 from .turntable import Turntable
 
 # Fraction of the photographs that a run must register; otherwise more costly runs follow. Of a plain object on a plain table, 25 of 30
@@ -132,6 +133,8 @@ class PoseSearch:
         photographs, count, matching = self.photographs, len(self.photographs), self.settings.matching
         open_database(path, photographs)
         find_features(photographs, path, self.settings.features, thorough, self.progress, self.turntable)
+        if self.turntable is not None:
+            drop_static_features(path, photographs)
         check_features(photographs, feature_counts(path, count))
         every = thorough and matching == "auto" and count <= MAX_AFFORDABLE
         pairs = every_pair(count) if every else select_pairs(path, count, matching, self.seed)
