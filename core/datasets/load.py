@@ -176,7 +176,7 @@ def _parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
     for frame in (*parsed.train, *(parsed.test or [])):  # views under other lights may be next to the folder; their readers check them
         for file in filter(None, (frame.image, frame.mask)):
             inside(file, parsed.root)
-    return parsed
+    return parsed.lit_from_camera() if settings.light == "camera" and parsed.train else parsed
 
 
 def _with_image(frames: list[Frame]) -> list[Frame]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -102,7 +102,8 @@ def read_cases(
     views = [*chosen, *(view for views in by_light.values() for view in spread_views(views[:relit_limit], limit))]
     # Read on its own, a dataset may be normalised to another world frame.
     to_run = reconstruction.to_world @ np.linalg.inv(data.to_world)
-    cameras = [view.camera.moved(to_run) for view in views]
+    cameras, turn = [view.camera.moved(to_run) for view in views], to_run[:3, :3] / np.cbrt(np.linalg.det(to_run[:3, :3]))
+    views = [one if (own := one.light_rotation) is None else replace(one, light_rotation=turn @ own @ turn.T) for one in views]
     scene = load_scene_truth(dataset, reconstruction.to_world)
     novel = sum(len(views) for views in by_light.values())
     return Cases(split, len(chosen), len(every), novel, views, cameras, scene, reconstruction.to_world)

@@ -16,6 +16,7 @@ from ..progress.protocol import Progress
 from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relighter import Relighter
 from ..scene.dataset import Dataset, View
+from ..shading.environment_lookup import turned
 from ..shading.procedural_lights import studio_light, sunset_light
 from . import visualisation
 from .cases import spread_views
@@ -68,7 +69,9 @@ def view_row(view: View, relighter: Relighter, lights: Sequence[PreparedLight]) 
     if width < camera.width:  # a tile shows no more pixels, and views are never enlarged beyond what was trained on
         camera = camera.resized(width, height)
     surface = relighter.surface(camera)
-    buffers = relighter.gbuffer(camera, surface)
+    buffers = relighter.gbuffer(camera, surface, view.light_rotation)
+    if view.light_rotation is not None:
+        lights = [prepare_light(turned(relighter.reconstruction.environment_map(), view.light_rotation)), *lights[1:]]
     own, *others = (visualisation.shaded(relighter.relit(surface, light).numpy()) for light in lights)
     photograph = visualisation.with_alpha(view.colour, np.ones(view.colour.shape[:2]) if view.alpha is None else view.alpha)
     return [

@@ -8,7 +8,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-import torch
 
 from ..datasets.format_detection import parse_dataset
 from ..datasets.ground_truth import MapFile, ground_truth_layers, light_files, relit_names
@@ -18,7 +17,7 @@ from ..io.safe_paths import inside
 from ..scene.dataset import View
 from ..scene.environment_files import read_environment
 from ..settings.schema import DataSettings
-from ..shading.environment_lookup import lookup, texel_directions
+from ..shading.environment_lookup import turned
 from .reduction import fitted_image, fitted_layer
 from .surface_truth import rendered_points, surface_points
 
@@ -189,10 +188,7 @@ def rotate_to_frame(light: np.ndarray, to_world: np.ndarray) -> np.ndarray:
         (H, W, 3), in the other frame.
     """
     rotation, _ = _rotation_and_size(to_world)
-    if np.allclose(rotation, np.eye(3), atol=1e-7):
-        return light
-    direction = texel_directions(light.shape[0], light.shape[1], torch.float64).reshape(-1, 3) @ torch.from_numpy(rotation)
-    return lookup(torch.from_numpy(light), direction.float()).reshape(light.shape).numpy()
+    return turned(light, rotation.T)
 
 
 def _moved_points(points: tuple[np.ndarray, np.ndarray] | None, to_world: np.ndarray) -> tuple[np.ndarray, np.ndarray] | None:

@@ -21,10 +21,10 @@ from ..relight.prepared_light import PreparedLight, prepare_light
 from ..relight.relight_settings import RelightSettings
 from ..relight.relighter import Relighter
 from ..rendering.trusted_device import trusted_device
-from ..scene.camera import Camera
 from ..scene.mesh_ply import load_mesh_ply
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import DataSettings
+from ..shading.environment_lookup import turned
 from . import metrics
 from .calibration import Calibration
 from .cases import Case, Cases, read_cases, spread
@@ -160,7 +160,7 @@ class Evaluation:
         first = {case.number: self._compare_unscaled(case, case.number in shown) for case in self._each_case("evaluate")}
         relighter = self.relighter.with_albedo_scale(self.fits.albedo if self.protocol.relit_scaled else None)
         for case in self._each_case("relight"):
-            unlit = first.pop(case.number) or Prediction(relighter.gbuffer(case.camera), None)
+            unlit = first.pop(case.number) or Prediction(relighter.gbuffer(case.camera, light_rotation=case.view.light_rotation), None)
             prediction = replace(unlit, relit=self._relit(relighter, case))
             row = self.rows[case.number]
             row |= relit_metrics(prediction, case.truth, self.protocol, self.lpips)
@@ -198,7 +198,8 @@ class Evaluation:
     def _compare_unscaled(self, case: Case, keep: bool) -> Prediction | None:
         """Compare the layers and the image under the recovered light; return the prediction where `keep` is set."""
         own, mesh = case.view.light is None, self.relighter.mesh
-        prediction = Prediction(self.relighter.gbuffer(case.camera), self._shaded(case.camera) if own else None)
+        buffers = self.relighter.gbuffer(case.camera, light_rotation=case.view.light_rotation)
+        prediction = Prediction(buffers, self._shaded(case) if own else None)
         self.fits.gather(prediction, case.truth)
         self.rows[case.number] |= view_metrics(prediction, case.truth, self.protocol, self.lpips)
         if mesh is not None and case.truth.normal is not None:
@@ -207,10 +208,13 @@ class Evaluation:
             self.own_light = next(iter(case.truth.lights.values()), None)
         return prediction if keep else None
 
-    def _shaded(self, camera: Camera) -> np.ndarray:
-        """Render a view under the recovered light, (H, W, 4), and measure the time."""
-        light, began = self._recovered_light, time.perf_counter()
-        image = self.relighter.relit(self.relighter.surface(camera), light).numpy()
+    def _shaded(self, case: Case) -> np.ndarray:
+        """Render a view under the recovered light, turned as it was in the photograph, (H, W, 4), and measure the time."""
+        rotation, light = case.view.light_rotation, self._recovered_light
+        if rotation is not None:
+            light = prepare_light(turned(self.relighter.reconstruction.environment_map(), rotation))
+        began = time.perf_counter()
+        image = self.relighter.relit(self.relighter.surface(case.camera), light).numpy()
         self.seconds.append(time.perf_counter() - began)
         return image
 

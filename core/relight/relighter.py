@@ -113,22 +113,22 @@ class Relighter:
             return surface
         return dataclasses.replace(surface, divided=DividedHits.of(surface, self._refined(rays)))
 
-    def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None) -> GBuffer:
+    def gbuffer(self, camera: Camera, surface: PrimaryHits | None = None, light_rotation: np.ndarray | None = None) -> GBuffer:
         """Return the G-buffer of a camera: the mesh's depth, the normals it is shaded by, the texture's albedo without `albedo_scale`.
 
         Args:
             camera: the camera.
             surface: the surface that it sees, from `surface`, where that is known.
+            light_rotation: of the light that the radiance is of, see `render_gbuffer`.
         """
-        buffers = render_gbuffer(self.reconstruction, camera)
+        buffers = render_gbuffer(self.reconstruction, camera, light_rotation)
         if self.mesh is None:
             return buffers
         surface = surface or self.surface(camera)
         index = surface.index.cpu().numpy()
-        layers = {"normal": buffers.normal.copy(), "depth": buffers.depth.copy()}
+        layers = {name: getattr(buffers, name).copy() for name in ("normal", "depth", "albedo")}
         layers["normal"].reshape(-1, 3)[index], layers["depth"].reshape(-1)[index] = surface.normal.cpu(), self.mesh.depth(surface).cpu()
         if self.mesh.albedo is not None:
-            layers["albedo"] = buffers.albedo.copy()
             layers["albedo"].reshape(-1, 3)[index] = (surface.mean_albedo() / self._scale.clamp_min(1e-6)).cpu()
         return dataclasses.replace(buffers, **layers)
 

@@ -119,6 +119,23 @@ def lookup_at(maps: torch.Tensor, u: torch.Tensor, v: torch.Tensor, level: torch
     return values.view(planes.shape[0], -1).T
 
 
+def turned(light: np.ndarray, rotation: np.ndarray) -> np.ndarray:
+    """Resample a lat-long map in another frame: its radiance in a direction d is that of `light` in the direction `rotation` d.
+
+    Args:
+        light: (H, W, 3) map.
+        rotation: (3, 3) from the new frame to that of `light`, such as a view's `light_rotation`.
+
+    Returns:
+        (H, W, 3) map; `light` itself without a turn.
+    """
+    if np.allclose(rotation, np.eye(3), atol=1e-7):
+        return light
+    height, width = light.shape[:2]
+    direction = to_light_frame(texel_directions(height, width, torch.float64).reshape(-1, 3), torch.from_numpy(rotation))
+    return lookup(torch.from_numpy(light), direction.float()).reshape(light.shape).numpy()
+
+
 def rotate(image: np.ndarray, degrees: float) -> np.ndarray:
     """Rotate a lat-long map about +Z; columns are interpolated, which keeps the total light.
 

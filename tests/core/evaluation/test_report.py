@@ -50,6 +50,8 @@ def known(demo, monkeypatch):
     class KnowingRelighter:
         """Renders images under other lights darker by a third unless the albedo's scale, which is 1, was applied."""
 
+        rotations, lights = [], []  # what layers and images were asked for
+
         def __init__(self, brightness=0.67):
             self.brightness = brightness
             self.reconstruction, self.mesh = known, None
@@ -60,10 +62,12 @@ def known(demo, monkeypatch):
         def surface(self, camera):
             return camera
 
-        def gbuffer(self, camera, surface=None):
+        def gbuffer(self, camera, surface=None, light_rotation=None):
+            self.rotations.append(light_rotation)
             return at(camera).buffers
 
         def relit(self, camera, light):
+            self.lights.append(light.radiance.numpy())
             name = next((n for n, truth in scene.lights.items() if np.array_equal(light.radiance.numpy(), truth)), scene.train_light)
             relit = name != scene.train_light
             return torch.from_numpy(at(camera).relit[name] * self.brightness if relit else at(camera).shaded)
@@ -236,6 +240,22 @@ def test_contact_sheet_shows_each_view_under_each_heading(demo, known, tmp_path)
         assert np.array_equal(row[4][..., 0], row[4][..., 2])  # roughness is grey
     assert np.abs(tiles[0][0] - tiles[1][0]).mean() > 0.02
     assert [p.name for p in tmp_path.iterdir()] == ["sheet.png"]
+
+
+QUARTER = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]])  # turn about +Z, from the world to the frame of the light
+
+
+@pytest.mark.parametrize("what", ["contact sheet", "evaluation"])
+def test_photographs_are_shown_under_the_light_as_it_was_turned(demo, known, tmp_path, monkeypatch, what):
+    dataset = replace(demo[1], test=[replace(view, light_rotation=QUARTER) for view in demo[1].test])
+    monkeypatch.setattr(cases, "load_dataset", lambda *_: dataset)
+    if what == "contact sheet":
+        sheet.contact_sheet(dataset, known, tmp_path / "sheet.png", Silent(), rows=1)
+    else:
+        report.evaluate(tmp_path, demo[0], tmp_path / "report")
+    light = known.reconstruction.environment_map()
+    assert known.rotations and all(rotation is not None and np.allclose(rotation, QUARTER) for rotation in known.rotations)
+    np.testing.assert_allclose(known.lights[0], np.roll(light, light.shape[1] // 4, 1), rtol=1e-3, atol=1e-4)
 
 
 def test_cancelling_leaves_no_contact_sheet(demo, known, tmp_path):

@@ -90,7 +90,7 @@ ADDED |= {
     "surface.udim_tiles",
 }
 ADDED |= {"pace", "second.solver", "second.joint_iterations", "second.geometry_rate", "second.shadows", "second.brdf"}
-ADDED |= {"data.exposure", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
+ADDED |= {"data.exposure", "data.light", "data.mask_error", "second.surroundings", "surface.albedo_detail"} | {
     f"capture.{name}"
     for name in ("features", "frames", "matching", "masks", "resolution", "turntable", "marker", "scale", "centre", "radius")
 }

@@ -105,6 +105,8 @@ def solve_light_materials(
     """
     tracer = secondary_tracer(reconstruction, dataset, settings.second)
     samples = _sample_surface(surface, dataset, tracer, settings)
+    if dataset.has_alpha and light_rotations(dataset.train) is None and moves_with_camera(samples):
+        progress.message("warning: the light seems to move with the camera, as a flash does; --set data.light=camera fits such photographs")
     transfer = _trace_transfer(samples, dataset, tracer, settings, progress)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     inputs = SolverInputs(reconstruction, samples, transfer, tracer, settings, seen_light(dataset, tracer, settings.second))
