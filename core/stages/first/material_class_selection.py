@@ -82,6 +82,8 @@ def _choose(score: dict[str, float], margins: dict[str, float], turns: bool) -> 
     best, *rest = score
     for name in rest:
         best = name if score[name] > score[best] + margins[name] else best
+    if best == METAL.name and score[best] <= score.get(GLOSSY.name, -math.inf) + margins[best]:
+        best = GLOSSY.name  # it reflects, but need not be metal
     if best == GLOSSY.name and not turns and _clearly_reflects(score, margins[METAL.name]):
         return METAL.name
     return best

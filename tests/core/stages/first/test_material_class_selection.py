@@ -20,6 +20,7 @@ from irgspp.core.stages.first.material_class_selection import _choice_in_words, 
         ({"low-gloss": 30.0, "glossy": 33.0, "metal": 33.6}, False, "metal", "0.6 dB better than the next"),
         ({"low-gloss": 33.0, "glossy": 34.4}, True, "low-gloss", "glossy would be only 1.4 dB better, less than the 1.5 dB"),
         ({"low-gloss": 33.0, "glossy": 34.6}, True, "glossy", "1.6 dB better than the next"),
+        ({"low-gloss": 32.0, "glossy": 33.4, "metal": 33.8}, True, "glossy", "metal would be only 0.4 dB better, less than the 1.5 dB"),
     ],
 )
 def test_the_choice_and_its_reason(score, turns, chosen, text):
