@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 pytestmark = pytest.mark.usefixtures("engine")
-BALLS = ((np.zeros(3), 1.0), (np.array([1.1, 0.0, 1.1]), 0.5))  # of `relighter`: centre and radius of each
+BALLS = ((np.zeros(3), 1.0), (np.array([1.1, 0.0, 1.1]), 0.5))  # centre and radius of each
 
 
 def depth_of_balls(camera) -> np.ndarray:
@@ -21,7 +21,7 @@ def depth_of_balls(camera) -> np.ndarray:
 
 def test_depth_is_that_of_the_mesh_at_the_centres_of_the_pixels(relighter, camera):
     truth = depth_of_balls(camera)
-    by_mesh, by_surfels = (relighter(backend).gbuffer(camera) for backend in ("mesh", "gaussian"))
+    by_mesh, by_surfels = (relighter(backend, balls=BALLS).gbuffer(camera) for backend in ("mesh", "gaussian"))
     shown = np.isfinite(truth) & (by_mesh.alpha > 0.99)
     assert shown.sum() > 1000
     error, of_surfels = (np.abs(one.depth - truth)[shown] for one in (by_mesh, by_surfels))
