@@ -20,6 +20,7 @@ from ..scene.camera import Camera
 from ..scene.dataset import Dataset, View
 from ..settings.schema import DataSettings
 from .bound import object_bound
+from .camera_light import with_camera_light
 from .exposure import even_exposures
 from .format_detection import parse_dataset
 from .parsed_dataset import MINIMUM_VIEWS, Frame, ParsedDataset
@@ -64,6 +65,7 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     even = even_exposures([*views, *test_views], parsed.points, settings.exposure, warnings)
     views, test_views = even[: len(views)], even[len(views) :]
     bound = object_bound(parsed, views, settings, warnings)
+    views, test_views = with_camera_light(views, test_views, bound, settings.light, warnings)
     if parsed.surroundings is not None and parsed.surroundings.has_ground:
         bound = replace(bound, floor=0.0)
     lenses = sorted({str(p.frame.lens) for p in prepared})
@@ -176,7 +178,7 @@ def _parse_dataset(path: Path, settings: DataSettings) -> ParsedDataset:
     for frame in (*parsed.train, *(parsed.test or [])):  # views under other lights may be next to the folder; their readers check them
         for file in filter(None, (frame.image, frame.mask)):
             inside(file, parsed.root)
-    return parsed.lit_from_camera() if settings.light == "camera" and parsed.train else parsed
+    return parsed
 
 
 def _with_image(frames: list[Frame]) -> list[Frame]:

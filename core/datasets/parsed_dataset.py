@@ -150,18 +150,6 @@ class ParsedDataset:
     mask_error: float = 0.0
     warnings: list[str] = field(default_factory=list)
 
-    def lit_from_camera(self) -> ParsedDataset:
-        """Return the dataset with a light that moves with the camera; in the world, it is that of the first training photograph.
-
-        Raises:
-            InputError: if the dataset states itself how the light turns.
-        """
-        if any(frame.light_rotation is not None for frame in (*self.train, *(self.test or []))):
-            raise InputError("data.light=camera", f"{self.source} states how the light turns", "leave the setting out")
-        first = self.train[0].to_world[:3, :3]
-        turned = lambda frames: [replace(frame, light_rotation=first @ frame.to_world[:3, :3].T) for frame in frames]  # noqa: E731
-        return replace(self, train=turned(self.train), test=None if self.test is None else turned(self.test))
-
     def split(self, settings: DataSettings) -> tuple[list[Frame], list[Frame]]:
         """Split the frames into training and test frames.
 

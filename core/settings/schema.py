@@ -48,7 +48,8 @@ class DataSettings:
     # Distance by which the edges of mask files may be wrong, in longest sides of an image; None: 0.003 for captures, 0 else.
     mask_error: Annotated[float | None, Range(0, 0.05)] = None
     exposure: Choice = "auto"  # divide photographs by exposure gains; auto: where unused points then agree better
-    light: Literal["still", "camera"] = "still"  # camera: it moves with the camera, as a flash does, or the lights of a turntable
+    # camera: it moves with the camera, as a flash does, or the lights of a turntable; auto: where the masked photographs look like that
+    light: Literal["auto", "still", "camera"] = "auto"
     holdout: Annotated[int, Range(2)] = 8  # every n-th view is a test view where the dataset names no test split
     split: Literal["auto", "holdout", "published"] = "auto"  # test views: the dataset's own, every n-th, or the published benchmark's
     centre: tuple[float, float, float] | None = None  # centre of the object's bounding sphere, dataset units; None: estimated

@@ -12,8 +12,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...datasets.mask_limits import narrowest_mask, widest_mask
 from ...io.continued_colour import continued_colour
-from ...io.grown_mask import grown_mask
 from ...io.srgb import decode_srgb
 from ...scene.dataset import View
 
@@ -34,18 +34,6 @@ class MaskBand:
 
     pixels: np.ndarray
     background: np.ndarray
-
-
-def widest_mask(view: View) -> np.ndarray:
-    """Return the largest mask (H, W) float32 that the error of a view's mask allows."""
-    assert view.alpha is not None
-    return grown_mask(view.alpha, view.mask_error)
-
-
-def narrowest_mask(view: View) -> np.ndarray:
-    """Return the smallest mask (H, W) float32 that the error of a view's mask allows."""
-    assert view.alpha is not None
-    return grown_mask(view.alpha, -view.mask_error)
 
 
 def find_mask_band(view: View) -> MaskBand | None:

@@ -8,10 +8,10 @@ import math
 import numpy as np
 from scipy.spatial import KDTree
 
+from ...datasets.visual_hull import visual_hull
 from ...io.srgb import decode_srgb
 from ...scene.dataset import Dataset, View
 from ...scene.gaussians import Gaussians, surfels
-from .visual_hull import visual_hull
 
 OPACITY = 0.7  # of surfels on a surface
 FAINT_OPACITY = 0.1  # of surfels on sparse points and at random places, where there may be no surface

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import KDTree
 
+from ...datasets.visual_hull import VisualHull
 from ...scene.dataset import Dataset
 from ...stereo.fusion import OrientedPoints, fuse_points
 from ...stereo.thinning import thinned
@@ -16,7 +17,6 @@ from .free_space import views_of, views_through
 from .initialization import OPACITY
 from .stereo_start import CLEARANCE_RADII, FoundByStereo, StereoStart, apart, joined_surfels, unexplained
 from .vessel import find_vessel
-from .visual_hull import VisualHull
 
 MIN_SUPPORT_IN_GAPS = 2  # with masks, of points in gaps: 80 % of them are right on a pine cone, 63 % in a plain cup, of the hull's 60 %
 # Share of the views that see a point of the hull in which any depth of stereo, confirmed by other views or not, lies behind it, from which

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import KDTree
 
+from ...datasets.visual_hull import VisualHull, visual_hull
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
 from ...stereo.depth_bounds import depth_bounds
@@ -22,7 +23,6 @@ from .free_space import in_free_space
 from .initialization import FAINT_OPACITY, random_points
 from .masked_starts import MaskedStarts
 from .stereo_start import CLEARANCE_RADII, MIN_SUPPORT_MASKED, MIN_SUPPORT_UNMASKED, FoundByStereo, StereoStart, joined_surfels, unexplained
-from .visual_hull import VisualHull, visual_hull
 
 MAX_STEREO_SHARE = 0.65  # without masks: largest share of the surfels that lie on stereo's points
 FILLER_SHARE = 0.1  # without masks: share of the surfels that are random points, for what stereo did not see

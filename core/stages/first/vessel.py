@@ -14,9 +14,9 @@ import numpy as np
 from scipy.ndimage import binary_dilation, distance_transform_edt, gaussian_filter, label, map_coordinates
 from scipy.spatial import KDTree
 
+from ...datasets.visual_hull import VisualHull
 from ...stereo.depth_map import DepthMap
 from .vessel_mouths import vessel_mouths
-from .visual_hull import VisualHull
 
 THICKNESSES = (0.035, 0.05, 0.07, 0.1)  # of a wall that are tried, radii of the bound
 UNKNOWN_THICKNESS = 0.05  # where stereo's depths do not tell it

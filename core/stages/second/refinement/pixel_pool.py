@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import torch
 
+from ....datasets.mask_limits import narrowest_mask
 from ....kernels.cpu.jit import kernel
 from ....kernels.trace import HitLists, Lists, hit_lists
 from ....rendering.secondary_rays import SecondaryTracer
@@ -18,7 +19,6 @@ from ....scene.gaussians import Gaussians
 from ....scene.surface import Surface
 from ....scene.unique_rows import used_numbers
 from ....surface.normal_images import normal_images
-from ...common.mask_band import narrowest_mask
 from ...common.training_view import MIN_SATURATED
 
 TRACED_RATIO = 1.25  # pixels traced for each that is asked for

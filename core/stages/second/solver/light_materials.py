@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import torch
 
+from ....datasets.camera_light import MIN_CAMERA_LIGHT, radiance_slope
 from ....errors import IrgsppError
 from ....progress.protocol import Progress
 from ....rendering.secondary_rays import SecondaryTracer
@@ -23,7 +24,6 @@ from ..metal import MEAN_METALLIC_THRESHOLD, METALLIC_THRESHOLD, is_mostly_metal
 from ..secondary_tracer import secondary_tracer
 from ..step_report import report_step
 from .albedo_prior import MEDIUM_ALBEDO
-from .camera_light import moves_with_camera
 from .light_material_solver import LightMaterialSolver, Split
 from .light_texels import LightTexels
 from .multi_view_samples import MultiViewSamples, sample_views
@@ -105,8 +105,6 @@ def solve_light_materials(
     """
     tracer = secondary_tracer(reconstruction, dataset, settings.second)
     samples = _sample_surface(surface, dataset, tracer, settings)
-    if dataset.has_alpha and light_rotations(dataset.train) is None and moves_with_camera(samples):
-        progress.message("warning: the light seems to move with the camera, as a flash does; --set data.light=camera fits such photographs")
     transfer = _trace_transfer(samples, dataset, tracer, settings, progress)
     require_finite({"the indirect light": transfer.indirect, "a photograph": samples.colour}, "before the second stage")
     inputs = SolverInputs(reconstruction, samples, transfer, tracer, settings, seen_light(dataset, tracer, settings.second))
@@ -116,7 +114,7 @@ def solve_light_materials(
     if _is_doubtful_metal(reconstruction, solver):
         progress.message("the solver takes the object for metal, or most of it, but the first stage does not: solved again without metal")
         without_metal = _solve_from_first_stage(inputs, False, progress)
-        least = MIN_EXPLAINED_SHARE_BY_FLASH if moves_with_camera(samples) else MIN_EXPLAINED_SHARE
+        least = MIN_EXPLAINED_SHARE_BY_FLASH if _is_lit_from_camera(samples) else MIN_EXPLAINED_SHARE
         solver = _decide_metal(solver, without_metal, reconstruction.has_split_sum, least, progress)
     return solver, tracer
 
@@ -151,6 +149,13 @@ def _trace_transfer(
         on_step=partial(report_step, progress),
         rotations=None if turns is None else torch.from_numpy(turns).to(tracer.device),
     )
+
+
+def _is_lit_from_camera(samples: MultiViewSamples) -> bool:
+    """Return True for samples that are the brighter the more they face the camera."""
+    valid = ~samples.saturated.any(1)
+    point, radiance, cosine = samples.point[valid], samples.colour[valid].double().mean(1), samples.n_v[valid].double()
+    return radiance_slope(*(part.cpu().numpy() for part in (point, radiance, cosine))) > MIN_CAMERA_LIGHT
 
 
 def _is_doubtful_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bool:

@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import torch
 
+from ....datasets.mask_limits import narrowest_mask
 from ....kernels.trace import transmittance
 from ....rendering.secondary_rays import SecondaryTracer
 from ....scene.camera import Camera
 from ....scene.dataset import View
-from ...common.mask_band import narrowest_mask
 
 MIN_FACING_COSINE = 0.15  # least cosine between normal and view direction; grazing views see the silhouette rather than the point
 MIN_TRANSMITTANCE = 0.5  # least transmittance towards the camera

@@ -59,7 +59,7 @@ def test_a_light_may_move_with_the_camera(ball_dataset):
     lit = load_dataset(ball_dataset.folder, DataSettings(light="camera"))
     assert len(lit.test) == 2
     shone = [view.light_rotation @ view.camera.to_world[:3, :3] for view in (*lit.train, *lit.test)]  # the same in each camera's frame
-    assert np.allclose(shone, shone[0]) and np.allclose(lit.test[0].light_rotation, np.eye(3))  # "000" is the first photograph
+    assert np.allclose(shone, shone[0]) and np.allclose(lit.train[0].light_rotation, np.eye(3))
     ball_dataset.edit(path, lambda c: c["frames"][1].update(light_rotation=np.eye(3).tolist()))
     with pytest.raises(InputError, match=r"data\.light=camera: .* states how the light turns"):
         load_dataset(ball_dataset.folder, DataSettings(light="camera"))

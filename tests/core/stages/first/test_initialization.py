@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from irgspp.core.datasets.visual_hull import visual_hull
 from irgspp.core.errors import InputError
 from irgspp.core.io.srgb import decode_srgb
 from irgspp.core.scene.dataset import PointCloud
@@ -15,7 +16,6 @@ from irgspp.core.stages.first.initialization import (
     initial_gaussians,
     observed_colour,
 )
-from irgspp.core.stages.first.visual_hull import visual_hull
 
 
 @pytest.fixture(scope="module")

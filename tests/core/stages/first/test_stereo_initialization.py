@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from irgspp.core.datasets.visual_hull import visual_hull
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.scene.dataset import PointCloud
 from irgspp.core.settings.overrides import with_overrides
@@ -16,7 +17,6 @@ from irgspp.core.stages.first.material_class import LOW_GLOSS, METAL
 from irgspp.core.stages.first.start_selection import select_start
 from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.stereo_initialization import from_stereo
-from irgspp.core.stages.first.visual_hull import visual_hull
 from irgspp.core.stereo.fusion import OrientedPoints
 from open_bowl import bowl, guessed_inside
 from scipy.spatial import cKDTree

@@ -5,13 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from irgspp.core.datasets.visual_hull import visual_hull
 from irgspp.core.progress.protocol import Silent
 from irgspp.core.stages.first import stereo_initialization
 from irgspp.core.stages.first import vessel as vessel_module
 from irgspp.core.stages.first.stereo_initialization import from_stereo, hull_bounds
 from irgspp.core.stages.first.vessel import MIN_RELATIVE_DEPTH, MIN_TELLING_DEPTH, THICKNESSES, UNKNOWN_THICKNESS, find_vessel
 from irgspp.core.stages.first.vessel_mouths import vessel_mouths
-from irgspp.core.stages.first.visual_hull import visual_hull
 from open_bowl import RIM, bowl, bowl_depth, guessed_inside
 
 COUNT = 10_000

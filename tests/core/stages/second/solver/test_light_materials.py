@@ -3,7 +3,6 @@
 
 from dataclasses import dataclass, field, replace
 
-import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, IrgsppError
@@ -82,22 +81,11 @@ def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camer
     make, surface = sphere
     monkeypatch.setattr(Found, "metal_gain", 0.15)
     monkeypatch.setattr(Found, "with_metal", error)
-    monkeypatch.setattr(light_materials, "moves_with_camera", lambda samples: flash)
+    monkeypatch.setattr(light_materials, "radiance_slope", lambda *_: 1.3 if flash else 0.0)
     listener = Listener()
     solved, _ = light_materials.solve_light_materials(make(True), surface, sphere_dataset(camera_ring(12, size=48)), SETTINGS, listener)
     assert tried == [True, False] and any(words in text for text in listener.messages)
     assert float(solved.metallic.mean()) == expected
-
-
-@pytest.mark.parametrize(("flash", "turns", "warned"), [(True, False, True), (True, True, False), (False, False, False)])
-def test_a_light_that_moves_with_the_camera_is_reported(sphere, sphere_dataset, camera_ring, tried, monkeypatch, flash, turns, warned):
-    make, surface = sphere
-    monkeypatch.setattr(light_materials, "moves_with_camera", lambda samples: flash)
-    dataset, listener = sphere_dataset(camera_ring(12, size=48)), Listener()
-    if turns:
-        dataset = replace(dataset, train=[replace(view, light_rotation=np.eye(3)) for view in dataset.train])
-    light_materials.solve_light_materials(make(False), surface, dataset, SETTINGS, listener)
-    assert any("--set data.light=camera" in text for text in listener.messages) == warned
 
 
 def test_metal_that_the_first_stage_found_too_is_not_doubted(sphere, sphere_dataset, camera_ring, tried, monkeypatch):

@@ -10,14 +10,14 @@ import numpy as np
 from scipy.ndimage import gaussian_filter
 from skimage.measure import marching_cubes
 
-from ...errors import InputError
-from ...kernels.cpu.jit import kernel
-from ...machine.thread_pool import even_ranges, run_ranges, thread_count
-from ...scene.camera import Camera
-from ...scene.dataset import Bound, View
-from ...scene.surface import draw_on_triangles
-from ...scene.triangle_tracer import TriangleTracer
-from ..common.mask_band import widest_mask
+from ..errors import InputError
+from ..kernels.cpu.jit import kernel
+from ..machine.thread_pool import even_ranges, run_ranges, thread_count
+from ..scene.camera import Camera
+from ..scene.dataset import Bound, View
+from ..scene.surface import draw_on_triangles
+from ..scene.triangle_tracer import TriangleTracer
+from .mask_limits import widest_mask
 
 HULL_CELLS = 96  # cells along the longest side of the hull
 UNSEEN_ALPHA = 2.0  # alpha of a cell that no view has seen yet
@@ -113,30 +113,31 @@ def _hit(tracer: TriangleTracer, camera: Camera, start: float, missed: float = 0
     return np.where(found.triangle >= 0, found.distance, missed).astype(np.float32).reshape(camera.height, camera.width)
 
 
-def visual_hull(views: list[View], bound: Bound) -> VisualHull:
-    """Carve the visual hull from the bound with the masks of all views, coarse then fine, at HULL_CELLS cells along the hull.
+def visual_hull(views: Sequence[View], bound: Bound, size: int = HULL_CELLS) -> VisualHull:
+    """Carve the visual hull from the bound with the masks of all views, coarse then fine.
 
-    `core.datasets.bound.bound_of_masks` also carves, but only estimates the bounding sphere before any bound is known: coarsely, with
+    `bound.bound_of_masks` also carves, but only estimates the bounding sphere before any bound is known: coarsely, with
     few views, and tolerant of masks that contradict each other.
 
     Args:
         views: all have masks.
         bound: sphere outside which everything is empty.
+        size: cells along the longest side of the hull.
 
     Raises:
         InputError: no cell is inside all masks.
     """
     centre, radius = np.asarray(bound.centre), bound.radius
-    coarse = _carve(views, bound, centre - radius, centre + radius, HULL_CELLS // 2)
+    coarse = _carve(views, bound, centre - radius, centre + radius, size // 2)
     cells = np.argwhere(coarse.inside > MIN_OCCUPIED_ALPHA)
     if not len(cells):
         fix = "check cameras and masks, or set data.centre, data.radius; a capture is cut out again by irgspp capture DATASET --sphere"
         raise InputError("masks", "no point of the object's bound is inside all masks", fix)
     low, high = coarse.corner + (cells.min(0) - BORDER_CELLS) * coarse.step, coarse.corner + (cells.max(0) + BORDER_CELLS) * coarse.step
-    return _carve(views, bound, low, high, HULL_CELLS)
+    return _carve(views, bound, low, high, size)
 
 
-def _carve(views: list[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> VisualHull:
+def _carve(views: Sequence[View], bound: Bound, low: np.ndarray, high: np.ndarray, cells: int) -> VisualHull:
     """Carve the box low..high (3,) at `cells` cells along its longest side."""
     step = float((high - low).max()) / cells
     shape = np.maximum(np.ceil((high - low) / step).astype(int) + 1, 3)
