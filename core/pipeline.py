@@ -273,7 +273,7 @@ class Job:
         surface = self._surface_of(solved) if moved else self.results.surface
         normals = run_normal_source(self.folder.path, self.settings.surface.detail, cameras)
         mesh = textured_mesh(surface, views, samples, self.settings.surface, self.progress, self.unwrapping, normals)
-        named = {view.name: view.camera for view in self.data.train}
+        named = {view.name: view for view in self.data.train}
         mesh, report = detailed_by_dataset(mesh, solved, self.data.path, named, self.settings, self.progress)
         self.folder.state["albedo_detail"] = report.state()
         why = self.folder.state["textures"]["why"]

@@ -178,7 +178,7 @@ def _detailed(
     mesh: Mesh, reconstruction: Reconstruction, run: Path, settings: Settings, dataset: str, progress: Progress
 ) -> tuple[Mesh, DetailReport]:
     """Add the detail of the run's photographs to the albedo, where they are still on the disk."""
-    cameras = {placed.name: placed.camera for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"}
+    views = {placed.name: placed for placed in load_run_cameras(run / "cameras.json") if placed.split == "train"}
     try:
         posed = posed_dataset(Path(dataset), run)
     except InputError as error:
@@ -187,7 +187,7 @@ def _detailed(
     with quick_imports():
         from ..detail.albedo_detail import detailed_by_dataset
 
-    return detailed_by_dataset(mesh, reconstruction, posed, cameras, settings, progress)
+    return detailed_by_dataset(mesh, reconstruction, posed, views, settings, progress)
 
 
 def _replace(run: Path, mesh: Mesh, tiles: int) -> None:

@@ -72,13 +72,28 @@ def undistort_mask(mask: np.ndarray, lens: Lens) -> np.ndarray:
     return np.clip(_resample(mask, _maps(lens)), 0, 1) if lens.distorted else mask
 
 
+def source_positions(lens: Lens, output: Lens) -> tuple[np.ndarray, np.ndarray]:
+    """Return where the image of a lens shows what a pinhole camera of the same pose sees.
+
+    Args:
+        lens: of the image.
+        output: pinhole, which may have another size, focal length and principal point.
+
+    Returns:
+        x and y (H, W) float32 in the image of `lens` for each pixel of `output`; OpenCV's pixel centres are at integers.
+    """
+    build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
+    coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
+    return build(_matrix(lens), coefficients, np.eye(3), _matrix(output), output.size, cv2.CV_32FC1)
+
+
 def _resample(pixels: np.ndarray, maps: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
     return cv2.remap(pixels, *maps, cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE)
 
 
 @lru_cache(maxsize=8)
 def _maps(lens: Lens) -> tuple[np.ndarray, np.ndarray]:
-    return _source_positions(lens, pinhole(lens))
+    return source_positions(lens, pinhole(lens))
 
 
 def _covered(lens: Lens, zoom: float) -> bool:
@@ -88,7 +103,7 @@ def _covered(lens: Lens, zoom: float) -> bool:
     x = _stretch(lens.width, plain.fx, plain.cx)
     y = _stretch(lens.height, plain.fy, plain.cy)
     coarse = replace(plain, width=GRID, height=GRID, fx=x[0], cx=x[1], fy=y[0], cy=y[1])
-    u, v = _source_positions(lens, coarse)
+    u, v = source_positions(lens, coarse)
     inside = (u.min() >= -0.5) and (v.min() >= -0.5) and (u.max() <= lens.width - 0.5) and (v.max() <= lens.height - 0.5)
     return bool(inside and (np.diff(u, axis=1) > 0).all() and (np.diff(v, axis=0) > 0).all())
 
@@ -96,13 +111,6 @@ def _covered(lens: Lens, zoom: float) -> bool:
 def _stretch(pixels: int, focal: float, centre: float) -> tuple[float, float]:
     scale = (GRID - 1) / max(pixels - 1, 1)
     return focal * scale, (centre - 0.5) * scale + 0.5
-
-
-def _source_positions(lens: Lens, output: Lens) -> tuple[np.ndarray, np.ndarray]:
-    """Return the source x and y in the image of `lens` of each pixel of `output`, a pinhole; OpenCV's pixel centres are at integers."""
-    build = cv2.fisheye.initUndistortRectifyMap if lens.fisheye else cv2.initUndistortRectifyMap
-    coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
-    return build(_matrix(lens), coefficients, np.eye(3), _matrix(output), output.size, cv2.CV_32FC1)
 
 
 def _matrix(lens: Lens) -> np.ndarray:

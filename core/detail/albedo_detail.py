@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,10 +15,11 @@ from ..io.quantisation import bits_of, srgb_quantised
 from ..io.srgb import decode_srgb
 from ..progress.protocol import Progress
 from ..relight.mesh_query import MeshQuery
-from ..relight.prepared_light import prepare_light
 from ..relight.relight_settings import RelightSettings
 from ..relight.relighter import Relighter
 from ..scene.camera import Camera
+from ..scene.camera_files import PlacedCamera
+from ..scene.dataset import View
 from ..scene.mesh import Mesh
 from ..scene.reconstruction import Reconstruction
 from ..settings.schema import Choice, Settings
@@ -117,7 +118,7 @@ class AlbedoDetail:
             self.failed[photograph.name] = str(error)
             return None
         if photograph.name not in self._shaded:
-            self._shaded[photograph.name] = self._shading.seen_by(decoded.camera), relative_blur(decoded)
+            self._shaded[photograph.name] = self._shading.seen_by(decoded.camera, photograph.light_rotation), relative_blur(decoded)
         shading, blur = self._shaded[photograph.name]
         correction = fit_correction(decoded, self._mesh, self._albedo, shading)
         if correction is None:
@@ -244,7 +245,12 @@ def detailed(
 
 
 def detailed_by_dataset(
-    mesh: Mesh, reconstruction: Reconstruction, dataset: Path, cameras: dict[str, Camera], settings: Settings, progress: Progress
+    mesh: Mesh,
+    reconstruction: Reconstruction,
+    dataset: Path,
+    views: Mapping[str, View | PlacedCamera],
+    settings: Settings,
+    progress: Progress,
 ) -> tuple[Mesh, DetailReport]:
     """Give the albedo texture of a run's mesh the detail of the photographs of its dataset.
 
@@ -252,7 +258,7 @@ def detailed_by_dataset(
         mesh: mesh with materials and baked textures.
         reconstruction: solved light and materials.
         dataset: folder of the dataset with cameras that the run was made from.
-        cameras: training cameras of the run by name.
+        views: training views of the run by name.
         settings: settings of the run.
         progress: receives steps, warnings and the result; may cancel.
 
@@ -261,7 +267,7 @@ def detailed_by_dataset(
     """
     if settings.surface.albedo_detail == "off":
         return mesh, DetailReport(False, "turned off")
-    photographs, missing = find_full_size_photographs(dataset, settings.data, cameras)
+    photographs, missing = find_full_size_photographs(dataset, settings.data, views)
     if missing:
         progress.message(f"warning: {missing}; the texture takes no detail from them")
     return detailed(mesh, reconstruction, photographs, settings.surface.albedo_detail, progress)
@@ -284,4 +290,4 @@ def _lit(mesh: Mesh, reconstruction: Reconstruction) -> tuple:
     radius = reconstruction.bound.radius
     reconstruction = reconstruction.to("cpu")
     relighter = Relighter(reconstruction, MeshQuery(mesh, radius), RelightSettings(denoise="off"))
-    return mesh, relighter, prepare_light(reconstruction.environment_map()), radius
+    return mesh, relighter, reconstruction.environment_map(), radius

@@ -3,8 +3,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import cv2
@@ -13,10 +13,13 @@ import numpy as np
 from ..datasets.load import full_size_frames, view_of
 from ..datasets.parsed_dataset import Lens
 from ..datasets.prepared_frames import PreparedFrame
+from ..datasets.undistort import source_positions
 from ..errors import InputError
 from ..io.image import image_size, read_image
 from ..io.srgb import decode_srgb
 from ..scene.camera import Camera
+from ..scene.camera_files import PlacedCamera
+from ..scene.dataset import View
 from ..scene.mesh import Mesh
 from ..settings.schema import DataSettings
 from ..settings.sizes import SURFACE_RATIO
@@ -56,12 +59,9 @@ class LoadedPhotograph:
         scale = self.lens.width / camera.width
         level = min(max(int(np.log2(max(scale, 1.0)) + 0.25), 0), len(self.pyramid) - 1)
         codes = self.pyramid[level]
-        x, y = np.meshgrid(
-            (np.arange(camera.width) + 0.5 - camera.cx) / camera.fx, (np.arange(camera.height) + 0.5 - camera.cy) / camera.fy
-        )
-        u, v = lens_pixels(self.lens, x, y)
-        ratio = codes.shape[1] / self.lens.width, codes.shape[0] / self.lens.height
-        maps = (u * ratio[0] - 0.5).astype(np.float32), (v * ratio[1] - 0.5).astype(np.float32)
+        pinhole = Lens("PINHOLE", camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy)
+        reduced = self.lens.resized(codes.shape[1], codes.shape[0])
+        maps = source_positions(reduced, pinhole)
         moved = np.asarray(cv2.remap(codes, *maps, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE))
         return self.linear[moved.astype(np.intp)]
 
@@ -75,12 +75,14 @@ class FullSizePhotograph:
         lens: lens of the file at its full size.
         working: the frame at the working resolution.
         masks: use alpha channels and mask files.
+        light_rotation: (3, 3) from the world to the frame of the light; None where the light stands still.
     """
 
     name: str
     lens: Lens
     working: PreparedFrame
     masks: bool
+    light_rotation: np.ndarray | None = None
 
     @property
     def finer(self) -> float:
@@ -114,13 +116,15 @@ class FullSizePhotograph:
         return LoadedPhotograph(self.lens, _pyramid(codes, linear), linear, view.camera, decode_srgb(view.colour), view.alpha)
 
 
-def find_full_size_photographs(dataset: Path, settings: DataSettings, cameras: dict[str, Camera]) -> tuple[list[FullSizePhotograph], str]:
+def find_full_size_photographs(
+    dataset: Path, settings: DataSettings, views: Mapping[str, View | PlacedCamera]
+) -> tuple[list[FullSizePhotograph], str]:
     """Find the full-size photographs of a run's training views.
 
     Args:
         dataset: folder of the dataset that the run was made from.
         settings: settings that the dataset was read with.
-        cameras: training cameras of the run by name.
+        views: training views of the run by name.
 
     Returns:
         The photographs in the order of the dataset, and a line about those that are missing; the line is empty where none is.
@@ -130,11 +134,12 @@ def find_full_size_photographs(dataset: Path, settings: DataSettings, cameras: d
         found = [FullSizePhotograph(full.name, full.lens, working, settings.masks) for full, working in pairs]
     except InputError as error:
         return [], str(error)
-    known = [one for one in found if one.name in cameras and _same_camera(one.working.camera, cameras[one.name])]
-    missing = len(cameras) - len(known)
+    same = [one for one in found if one.name in views and _same_camera(one.working.camera, views[one.name].camera)]
+    known = [replace(one, light_rotation=views[one.name].light_rotation) for one in same]
+    missing = len(views) - len(known)
     if not missing:
         return known, ""
-    return known, f"{dataset}: {missing} of {len(cameras)} photographs of the run are gone or have other cameras since"
+    return known, f"{dataset}: {missing} of {len(views)} photographs of the run are gone or have other cameras since"
 
 
 def object_pixels(mesh: Mesh, photographs: Sequence[FullSizePhotograph]) -> float:
@@ -147,25 +152,6 @@ def object_pixels(mesh: Mesh, photographs: Sequence[FullSizePhotograph]) -> floa
     centre = mesh.vertices.mean(0)
     scales = [one.lens.fx / max(float(np.linalg.norm(one.working.camera.centre - centre)), 1e-9) for one in photographs]
     return surface_area(mesh.vertices, mesh.faces) / SURFACE_RATIO * float(np.mean(np.square(scales)))
-
-
-def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the pixel coordinates at which a lens shows the directions (x, y, 1) of its camera, OpenCV's axes.
-
-    Args:
-        lens: the lens.
-        x: (...,) tangent to the right.
-        y: (...,) tangent downwards.
-    """
-    if lens.distorted:
-        directions = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 1, 3)
-        coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
-        if lens.fisheye:
-            points, _ = cv2.fisheye.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
-        else:
-            points, _ = cv2.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
-        x, y = points.reshape(*x.shape, 2)[..., 0], points.reshape(*y.shape, 2)[..., 1]
-    return x * lens.fx + lens.cx, y * lens.fy + lens.cy
 
 
 def _same_camera(a: Camera, b: Camera) -> bool:

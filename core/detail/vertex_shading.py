@@ -14,16 +14,18 @@ import numpy as np
 import torch
 
 from ..relight.mesh_query import CLEARANCE
-from ..relight.prepared_light import PreparedLight
+from ..relight.prepared_light import prepare_light
 from ..relight.primary_hits import PrimaryHits
 from ..relight.relighter import Relighter
 from ..scene.camera import Camera
 from ..scene.mesh import Mesh
+from ..shading.environment_lookup import turned
 from ..shading.specular_albedo import diffuse_fraction
 from ..surface.topology import adjacency
 
 DIFFUSE_SAMPLES = 256  # per vertex, once
 GLOSS_SAMPLES = 48  # per vertex and view
+NO_METAL = 0.02  # metallic up to which a mesh is none: its reflections have no colour of their own
 SMOOTHING = 2  # passes that average the gloss of neighbouring vertices, which removes the noise of few samples
 
 
@@ -46,12 +48,12 @@ class VertexShading:
     Args:
         mesh: mesh with materials at its vertices.
         relighter: relighter of the reconstruction, whose secondary rays are traced on the mesh.
-        light: the solved light.
+        light: (H, W, 3) map of the solved light.
         radius: scene radius, world units.
     """
 
-    def __init__(self, mesh: Mesh, relighter: Relighter, light: PreparedLight, radius: float) -> None:
-        self._mesh, self._light, self._radius = mesh, light, radius
+    def __init__(self, mesh: Mesh, relighter: Relighter, light: np.ndarray, radius: float) -> None:
+        self._mesh, self._map, self._light, self._radius = mesh, light, prepare_light(light), radius
         self._diffuse, self._gloss = relighter.with_samples(DIFFUSE_SAMPLES), relighter.with_samples(GLOSS_SAMPLES)
 
     @cached_property
@@ -63,23 +65,40 @@ class VertexShading:
         white = replace(points, albedo=torch.ones_like(points.normal), metallic=torch.zeros(len(everything)))
         return self._diffuse.reflected(white, self._light).diffuse.cpu().numpy().astype(np.float32)
 
-    def seen_by(self, camera: Camera) -> ViewShading:
-        """Return the shading towards a camera."""
+    def seen_by(self, camera: Camera, light_rotation: np.ndarray | None = None) -> ViewShading:
+        """Return the shading towards a camera.
+
+        Args:
+            camera: the camera.
+            light_rotation: (3, 3) from the world to the frame of the light; None where the light stands still.
+        """
         mesh, count = self._mesh, len(self._mesh.vertices)
         view = camera.centre - mesh.vertices.astype(np.float64)
         view = (view / np.maximum(np.linalg.norm(view, axis=-1, keepdims=True), 1e-12)).astype(np.float32)
         facing = (view * mesh.normals).sum(-1)
         index = np.flatnonzero(facing > 0)
         points = self._points(index, view[index])
-        black, white = (replace(points, albedo=torch.full_like(points.normal, value)) for value in (0.0, 1.0))
-        gloss = self._gloss.reflected(black, self._light).specular.cpu().numpy()
-        metal = self._gloss.reflected(white, self._light).specular.cpu().numpy() - gloss
-        fraction = diffuse_fraction(torch.from_numpy(facing[index]), points.roughness).numpy()[:, None] if self._gloss.conserving else 1.0
-        diffuse = (1 - mesh.metallic[index, None]) * fraction * self.irradiance[index]
+        diffuse, metal, gloss = self._reflected(points, light_rotation)
+        if light_rotation is None:  # what does not depend on the view is known by more samples
+            cosine = torch.from_numpy(facing[index])
+            fraction = diffuse_fraction(cosine, points.roughness).numpy()[:, None] if self._gloss.conserving else 1.0
+            diffuse = (1 - mesh.metallic[index, None]) * fraction * self.irradiance[index]
         layers = np.zeros((2, count, 3), np.float32)
         layers[0, index], layers[1, index] = diffuse + metal, gloss
         smooth = self._smoothed(layers, facing > 0)
         return ViewShading(smooth[0], smooth[1])
+
+    def _reflected(self, points: PrimaryHits, light_rotation: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return what points reflect by their diffuse lobe and as metal, both per albedo, and as dielectric; (P, 3) each."""
+        light = self._light if light_rotation is None else prepare_light(turned(self._map, light_rotation))
+        white = replace(points, albedo=torch.ones_like(points.normal))
+        if float(self._mesh.metallic.max()) <= NO_METAL:
+            found = self._gloss.reflected(replace(white, metallic=torch.zeros_like(points.metallic)), light)
+            gloss = found.specular.cpu().numpy()
+            return found.diffuse.cpu().numpy(), np.zeros_like(gloss), gloss
+        gloss = self._gloss.reflected(replace(points, albedo=torch.zeros_like(points.normal)), light).specular.cpu().numpy()
+        found = self._gloss.reflected(white, light)
+        return found.diffuse.cpu().numpy(), found.specular.cpu().numpy() - gloss, gloss
 
     def _points(self, index: np.ndarray, view: np.ndarray) -> PrimaryHits:
         """Pack vertices into `PrimaryHits`, so that the relighter can shade them.

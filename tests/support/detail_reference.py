@@ -3,10 +3,10 @@
 
 import cv2
 import numpy as np
+from irgspp.core.datasets.parsed_dataset import Lens
 from irgspp.core.detail import texel_sampling as kernels
 from irgspp.core.detail.candidates import DARK_FRACTION, Candidates, TexelView
 from irgspp.core.detail.combination import ALBEDO_FLOOR, ROUNDS
-from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.mesh import Mesh
 from irgspp.core.surface.mesh_texels import MeshTexels
@@ -39,6 +39,25 @@ def nearest_triangles(vertices: np.ndarray, faces: np.ndarray, camera: Camera) -
     best = depth[np.arange(len(depth)), nearest]
     shape = camera.height, camera.width
     return np.where(np.isfinite(best), nearest, -1).reshape(shape), np.where(np.isfinite(best), 1 / best, 0).reshape(shape)
+
+
+def lens_pixels(lens: Lens, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Return the pixel coordinates at which a lens shows the directions (x, y, 1) of its camera, OpenCV's axes.
+
+    Args:
+        lens: the lens.
+        x: (...,) tangent to the right.
+        y: (...,) tangent downwards.
+    """
+    if lens.distorted:
+        directions = np.stack([x, y, np.ones_like(x)], -1).reshape(-1, 1, 3)
+        coefficients = np.array(lens.distortion or (0.0,) * 4, np.float64)
+        if lens.fisheye:
+            points, _ = cv2.fisheye.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        else:
+            points, _ = cv2.projectPoints(directions, np.zeros(3), np.zeros(3), np.eye(3), coefficients)
+        x, y = points.reshape(*x.shape, 2)[..., 0], points.reshape(*y.shape, 2)[..., 1]
+    return x * lens.fx + lens.cx, y * lens.fy + lens.cy
 
 
 def texel_samples(view: TexelView, mesh: Mesh, texels: MeshTexels) -> tuple[np.ndarray, np.ndarray]:

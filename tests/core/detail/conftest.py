@@ -12,6 +12,7 @@ from irgspp.core.detail.photographs import FullSizePhotograph, find_full_size_ph
 from irgspp.core.io.quantisation import srgb_eight_bits
 from irgspp.core.relight.prepared_light import prepare_light
 from irgspp.core.scene.camera import Camera, look_at
+from irgspp.core.scene.camera_files import PlacedCamera
 from irgspp.core.scene.dataset import Bound
 from irgspp.core.scene.gaussians import Gaussians
 from irgspp.core.scene.mesh import Mesh
@@ -42,12 +43,16 @@ class Scene:
         return mesh_texels(self.mesh.vertices, self.mesh.uvs, self.mesh.faces, size)
 
     def photographs(self) -> list[FullSizePhotograph]:
-        found, missing = find_full_size_photographs(self.folder, SETTINGS, self.cameras())
+        found, missing = find_full_size_photographs(self.folder, SETTINGS, self.views())
         assert not missing
         return found
 
     def cameras(self) -> dict[str, Camera]:
         return {f"r_{i}": camera(i, WORKING) for i in range(VIEWS)}
+
+    def views(self, light_rotation: np.ndarray | None = None) -> dict[str, PlacedCamera]:
+        """Training views, as a run records them."""
+        return {name: PlacedCamera(name, "train", one, self.folder, light_rotation) for name, one in self.cameras().items()}
 
 
 def camera(number: int, size: int) -> Camera:

@@ -132,7 +132,7 @@ def test_missing_and_changed_photographs_are_named_in_one_line_each(written, tmp
     for number in range(2, 10):
         (folder / "train" / f"r_{number}.png").unlink()
     settings, progress = with_overrides(Settings(), ["data.resolution=80", "data.exposure=off"]), Messages()
-    mesh, report = detailed_by_dataset(written.mesh, written.reconstruction, folder, written.cameras(), settings, progress)
+    mesh, report = detailed_by_dataset(written.mesh, written.reconstruction, folder, written.views(), settings, progress)
     assert mesh is written.mesh and not report.applied and "2 full-size photographs" in report.why
     assert len([line for line in progress.lines if "8 of 10 photographs" in line]) == 1
 

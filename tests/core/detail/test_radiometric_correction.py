@@ -6,11 +6,11 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
+from detail_reference import lens_pixels
 from irgspp.core.detail.albedo_detail import AlbedoDetail
 from irgspp.core.detail.candidates import Candidates
 from irgspp.core.detail.evidence import MIN_CORRELATION_GAIN, Evidence
 from irgspp.core.detail.mesh_depth import render_mesh_depth
-from irgspp.core.detail.photographs import lens_pixels
 from irgspp.core.detail.radiometric_correction import edge_weight, smooth_ratio
 from irgspp.core.detail.sharpness import relative_blur
 from irgspp.core.detail.texel_sampling import CODES
