@@ -272,10 +272,15 @@ def _usable(images: list[View | InputError], needed: int, warnings: list[str]) -
 
 
 def _normalise_alpha(train: list[View], test: list[View], warnings: list[str]) -> tuple[list[View], list[View]]:
-    """Drop alpha channels if all of them are opaque everywhere; else warn about training views without alpha."""
-    if all(v.alpha is None or v.alpha.min() > OPAQUE for v in train):
-        return [replace(v, alpha=None) for v in train], [replace(v, alpha=None) for v in test]
+    """Drop alpha channels that are opaque everywhere, those of training views if all are; else warn about these without alpha."""
+    if all(_is_opaque(v) for v in train):
+        return [replace(v, alpha=None) for v in train], [replace(v, alpha=None) if _is_opaque(v) else v for v in test]
     bare = [v.name for v in train if v.alpha is None]
     if bare:
         warnings.append(f"{len(bare)} of {len(train)} views have no mask (first: {bare[0]})")
     return train, test
+
+
+def _is_opaque(view: View) -> bool:
+    """Return True for a view without alpha, or one that is opaque everywhere."""
+    return view.alpha is None or bool(view.alpha.min() > OPAQUE)

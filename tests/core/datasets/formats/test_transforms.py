@@ -162,6 +162,19 @@ def test_opaque_alpha_is_no_mask(ball_dataset):
     assert not load_dataset(ball_dataset.folder).has_alpha
 
 
+def test_masks_of_test_views_are_kept_where_photographs_have_none(ball_dataset):
+    """As of a capture whose photographs show a table, and whose truth shows the object alone."""
+    path = ball_dataset.transforms(alpha=False)
+    content = json.loads(path.read_text())
+    Image.fromarray(ball_dataset.images[0]).save(ball_dataset.folder / "images/000.png")
+    ball_dataset.edit(
+        path, lambda c: c.update(train_filenames=[f["file_path"] for f in content["frames"][1:]], test_filenames=["images/000.png"])
+    )
+    data = load_dataset(ball_dataset.folder)
+    assert not data.has_alpha and [view.name for view in data.test] == ["000"]
+    assert data.test[0].alpha.min() == 0 and data.test[0].alpha.max() == 1
+
+
 def test_reduction_averages_linear_light_under_alpha(ball_dataset):
     for image in ball_dataset.images:
         image[:] = 0
