@@ -216,8 +216,8 @@ class Job:
     def _masks_may_be_wrong(self) -> bool:
         """Return True for masks that a capture found, of an object that stands still on a support plane."""
         views = self.data.train
-        wrong = all(view.alpha is not None and round(view.mask_error) >= 1 and view.light_rotation is None for view in views)
-        return wrong and support_plane_of(self.data.surroundings) is not None
+        wrong = all(view.alpha is not None and round(view.mask_error) >= 1 for view in views)
+        return wrong and not self.data.turns and support_plane_of(self.data.surroundings) is not None
 
     def masks(self) -> None:
         """Cut the object out again, with the outlines and colours on which a quick fit finds the photographs to agree."""

@@ -30,10 +30,10 @@ CLEARANCE = 2.0  # cells by which rays to the cameras start outside the hull
 
 def with_camera_light(
     train: list[View], test: list[View], bound: Bound, light: Literal["auto", "still", "camera"], warnings: list[str]
-) -> tuple[list[View], list[View]]:
+) -> tuple[list[View], list[View], bool]:
     """Return training and test views with the rotations of a light that moves with the camera; the views themselves where it stays.
 
-    In the world, the light is that of the first training view.
+    In the world, the light is that of the first training view. The flag returned with them says whether it moves.
 
     Args:
         train: training views.
@@ -49,18 +49,18 @@ def with_camera_light(
     if light == "camera" and stated:
         raise InputError("data.light=camera", "the dataset states how the light turns", "leave the setting out")
     if light == "still" or stated:
-        return train, test
+        return train, test, False
     if light == "auto":
         slope = hull_slope(train, bound)
         if slope <= MIN_CAMERA_LIGHT:
-            return train, test
+            return train, test, False
         warnings.append(
             f"the light moves with the camera, as a flash does: points are the brighter the more they face it (slope {slope:.1f}); "
             "--set data.light=still takes it for a light that stays"
         )
     first = train[0].camera.to_world[:3, :3]
     turned = [replace(view, light_rotation=first @ view.camera.to_world[:3, :3].T) for view in (*train, *test)]
-    return turned[: len(train)], turned[len(train) :]
+    return turned[: len(train)], turned[len(train) :], True
 
 
 def radiance_slope(point: np.ndarray, radiance: np.ndarray, cosine: np.ndarray) -> float:

@@ -65,12 +65,12 @@ def load_dataset(path: Path, settings: DataSettings = DataSettings(), progress: 
     even = even_exposures([*views, *test_views], parsed.points, settings.exposure, warnings)
     views, test_views = even[: len(views)], even[len(views) :]
     bound = object_bound(parsed, views, settings, warnings)
-    views, test_views = with_camera_light(views, test_views, bound, settings.light, warnings)
+    views, test_views, lit_from_camera = with_camera_light(views, test_views, bound, settings.light, warnings)
     if parsed.surroundings is not None and parsed.surroundings.has_ground:
         bound = replace(bound, floor=0.0)
     lenses = sorted({str(p.frame.lens) for p in prepared})
     novel = Counter(f.light for f in _with_image(parsed.novel) if f.light is not None)
-    about = (parsed.points, warnings, lenses, dict(novel), parsed.surroundings)
+    about = (parsed.points, warnings, lenses, dict(novel), parsed.surroundings, lit_from_camera)
     return Dataset(path, parsed.format, views, test_views, bound, parsed.to_world, *about)
 
 

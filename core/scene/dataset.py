@@ -99,6 +99,7 @@ class Dataset:
         lenses: the real cameras as the dataset states them, one line each (the views' cameras are undistorted).
         novel: number of further views under other lights, by light; `load.load_novel_views` reads them.
         surroundings: near surfaces that shadow and light the object, or None.
+        lit_from_camera: the light moves with the camera, and the views' `light_rotation` are those of their cameras.
     """
 
     path: Path
@@ -112,6 +113,12 @@ class Dataset:
     lenses: list[str] = field(default_factory=list)
     novel: dict[str, int] = field(default_factory=dict)
     surroundings: Surroundings | None = None
+    lit_from_camera: bool = False
+
+    @property
+    def turns(self) -> bool:
+        """Flag of turntables: True where the object turned between the photographs."""
+        return light_rotations(self.train) is not None and not self.lit_from_camera
 
     @property
     def has_alpha(self) -> bool:

@@ -86,14 +86,15 @@ def shaded(camera, radiance):
 @pytest.mark.parametrize(("light", "moves"), [(flash, True), (room_with_flash, True), (lamp_above, False)])
 def test_masked_photographs_decide_whether_the_light_moves(lit_sphere, light, moves):
     data, warnings = lit_sphere(light), []
-    train, test = with_camera_light(data.train[:10], data.train[10:], data.bound, "auto", warnings)
-    assert len(train) == 10 and len(test) == 2 and len(warnings) == moves
+    train, test, found = with_camera_light(data.train[:10], data.train[10:], data.bound, "auto", warnings)
+    assert len(train) == 10 and len(test) == 2 and len(warnings) == found == moves
     assert all((view.light_rotation is not None) == moves for view in (*train, *test))
 
 
 def test_the_rotations_are_those_of_the_cameras(lit_sphere):
     data, warnings = lit_sphere(lamp_above), []
-    train, test = with_camera_light(data.train[:10], data.train[10:], data.bound, "camera", warnings)
+    train, test, found = with_camera_light(data.train[:10], data.train[10:], data.bound, "camera", warnings)
+    assert found
     shone = [view.light_rotation @ view.camera.to_world[:3, :3] for view in (*train, *test)]  # the same in each camera's frame
     assert np.allclose(shone, shone[0]) and np.allclose(train[0].light_rotation, np.eye(3)) and not warnings
 

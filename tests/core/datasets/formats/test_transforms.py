@@ -48,6 +48,7 @@ def test_rotations_of_the_light_are_read_and_checked(ball_dataset):
     ball_dataset.edit(path, lambda c: c["frames"][1].update(light_rotation=turn))
     train = load_dataset(ball_dataset.folder, ALL).train
     assert train[0].light_rotation is None and np.allclose(train[1].light_rotation, turn)
+    assert load_dataset(ball_dataset.folder, ALL).turns
     for wrong in ([[1, 0], [0, 1]], [[2, 0, 0], [0, 1, 0], [0, 0, 1]], "turned"):
         ball_dataset.edit(path, lambda c, wrong=wrong: c["frames"][1].update(light_rotation=wrong))
         with pytest.raises(InputError, match=r"frame 1 .*light_rotation"):
@@ -57,7 +58,7 @@ def test_rotations_of_the_light_are_read_and_checked(ball_dataset):
 def test_a_light_may_move_with_the_camera(ball_dataset):
     path = ball_dataset.transforms()
     lit = load_dataset(ball_dataset.folder, DataSettings(light="camera"))
-    assert len(lit.test) == 2
+    assert len(lit.test) == 2 and lit.lit_from_camera and not lit.turns and not load_dataset(ball_dataset.folder).turns
     shone = [view.light_rotation @ view.camera.to_world[:3, :3] for view in (*lit.train, *lit.test)]  # the same in each camera's frame
     assert np.allclose(shone, shone[0]) and np.allclose(lit.train[0].light_rotation, np.eye(3))
     ball_dataset.edit(path, lambda c: c["frames"][1].update(light_rotation=np.eye(3).tolist()))
