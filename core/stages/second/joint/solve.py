@@ -35,7 +35,7 @@ def check_joint(views: Sequence[View]) -> None:
     """Raise InputError for photographs whose light turns relative to the object: one radiance cannot be its indirect light in all."""
     if light_rotations(views) is not None:
         what = "the joint optimisation takes indirect light from one radiance, and the light turns with the photographs"
-        raise InputError("second.solver", what, "use --set second.solver=closed")
+        raise InputError("second.solver", what, "use --set second.solver=closed, or data.light=still")
 
 
 def optimise_jointly(
