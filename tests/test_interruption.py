@@ -40,7 +40,7 @@ SHORT = (
     "surface.triangles=1000",
     "surface.texture=64",
 )
-FEW = ("first.iterations=4", "first.stereo=on", "second.points=100", "second.views=4", "second.iterations=4", "second.pixels=32")
+FEW = ("first.iterations=4", "first.stereo=on", "second.points=200", "second.views=4", "second.iterations=4", "second.pixels=32")
 FEW += ("second.pool=1000", "second.radiance_iterations=4", "second.normal_iterations=4", "data.resolution=32", "first.gaussians=1000")
 FEW += ("surface.voxels=24", "surface.triangles=500")
 STOP, KEEP = 66, 60  # density control, in step 48, lies before them
