@@ -168,7 +168,7 @@ def _read(
     data = load_dataset(dataset, settings.data, progress)
     settings = with_sizes(settings, data.object_pixels if data.has_alpha else None)
     if settings.second.solver != "closed":
-        check_joint(data.train)
+        check_joint(data)
     size = size or choose_texture_size(settings, data, run)
     settings = with_texture_size(settings, size.size)
     check_disk_space(run, settings, data.pixels(distorted=True))

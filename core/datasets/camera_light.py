@@ -16,7 +16,7 @@ from ..scene.triangle_tracer import TriangleTracer
 from .visual_hull import visual_hull
 
 # Slope from which a light moves with the camera. On the surface: 1.3 under a real flash, -.6 to .03 on twelve objects under a light that
-# stays. On the visual hull: 1.3 under that flash, 1.0 under a rendered one in a dim room, -.31 to .01 on ten others.
+# stays. On the visual hull: 1.3 under that flash, 1.0 under a rendered one in a dim room, -.31 to -.01 on ten others.
 MIN_CAMERA_LIGHT = 0.5
 MAX_CHANGE = 1.0  # relative change of a sample's radiance that counts at most: mirrored lights change it more
 FEWEST_SAMPLES = 3  # photographs that must show a point
@@ -33,7 +33,7 @@ def with_camera_light(
 ) -> tuple[list[View], list[View], bool]:
     """Return training and test views with the rotations of a light that moves with the camera; the views themselves where it stays.
 
-    In the world, the light is that of the first training view. The flag returned with them says whether it moves.
+    In the world, the light is that of the first training view.
 
     Args:
         train: training views.
@@ -41,6 +41,9 @@ def with_camera_light(
         bound: bounding sphere of the object.
         light: "auto": by the photographs, where they have masks; else as it says.
         warnings: a line is appended where the photographs decide for such a light.
+
+    Returns:
+        Training views, test views, and True where their light moves with the camera.
 
     Raises:
         InputError: if it is "camera", and the views state themselves how the light turns.

@@ -89,7 +89,7 @@ class VertexShading:
         return ViewShading(smooth[0], smooth[1])
 
     def _reflected(self, points: PrimaryHits, light_rotation: np.ndarray | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Return what points reflect by their diffuse lobe and as metal, both per albedo, and as dielectric; (P, 3) each."""
+        """Return what P points reflect, (P, 3) each: by the diffuse lobe and as metal, both per albedo, and as a dielectric's gloss."""
         light = self._light if light_rotation is None else prepare_light(turned(self._map, light_rotation))
         white = replace(points, albedo=torch.ones_like(points.normal))
         if float(self._mesh.metallic.max()) <= NO_METAL:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -12,7 +11,7 @@ import torch
 
 from ....errors import Cancelled, InputError
 from ....progress.protocol import Checkpoint, Progress
-from ....scene.dataset import Dataset, View, light_rotations
+from ....scene.dataset import Dataset, light_rotations
 from ....scene.reconstruction import Reconstruction
 from ....settings.schema import Settings
 from ....shading.rendering_equation import reflect_light
@@ -31,11 +30,12 @@ MIN_GAIN = 0.2  # dB of held-back views; at the published rates a gain of 0.07 d
 TEST_EVERY = 200  # iterations between tests
 
 
-def check_joint(views: Sequence[View]) -> None:
+def check_joint(dataset: Dataset) -> None:
     """Raise InputError for photographs whose light turns relative to the object: one radiance cannot be its indirect light in all."""
-    if light_rotations(views) is not None:
+    if light_rotations(dataset.train) is not None:
         what = "the joint optimisation takes indirect light from one radiance, and the light turns with the photographs"
-        raise InputError("second.solver", what, "use --set second.solver=closed, or data.light=still")
+        other = ", or data.light=still" if dataset.lit_from_camera else ""
+        raise InputError("second.solver", what, f"use --set second.solver=closed{other}")
 
 
 def optimise_jointly(
@@ -125,7 +125,7 @@ def _optimised(
     refining: bool,
 ) -> tuple[JointOptimisation, float, float, float]:
     """Run the optimisation; return it with the schedule scale and the PSNR of shaded views before and after it."""
-    check_joint(dataset.train)
+    check_joint(dataset)
     second, reflects = settings.second, start.has_split_sum
     start = with_all_radiance(start, dataset.train, settings, progress)
     near = dataset.surroundings if second.surroundings and second.indirect else None

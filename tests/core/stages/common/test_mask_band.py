@@ -7,10 +7,11 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from irgspp.core.datasets.mask_limits import narrowest_mask, widest_mask
 from irgspp.core.io.srgb import encode_srgb
 from irgspp.core.scene.camera import Camera
 from irgspp.core.scene.dataset import View
-from irgspp.core.stages.common.mask_band import find_mask_band, narrowest_mask, widest_mask
+from irgspp.core.stages.common.mask_band import find_mask_band
 from irgspp.core.stages.common.training_view import BAND_WEIGHT, make_training_view
 
 HEIGHT, WIDTH, EDGE = 40, 60, 30.5  # the object covers the columns left of EDGE

@@ -211,8 +211,10 @@ def test_values_that_are_not_finite_are_named(start, dataset):
 
 def test_photographs_that_do_not_fit_are_one_clear_line(start, dataset, sphere_dataset, camera_ring):
     turned = replace(dataset, train=[replace(view, light_rotation=np.eye(3)) for view in dataset.train])
-    with pytest.raises(InputError, match=r"second\.solver: .* use --set second\.solver=closed"):
+    with pytest.raises(InputError, match=r"second\.solver: .* use --set second\.solver=closed$"):
         optimise_jointly(start, turned, SETTINGS, Silent())
+    with pytest.raises(InputError, match=r"use --set second\.solver=closed, or data\.light=still"):
+        optimise_jointly(start, replace(turned, lit_from_camera=True), SETTINGS, Silent())
     faint = replace(start, gaussians=replace(start.gaussians, opacity=start.gaussians.opacity - 20))
     with pytest.raises(InputError, match="no photograph shows the object"):
         optimise_jointly(faint, dataset, SETTINGS, Silent())

@@ -3,6 +3,7 @@
 
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
 import torch
 from irgspp.core.errors import Cancelled, IrgsppError
@@ -10,6 +11,7 @@ from irgspp.core.progress.protocol import Silent
 from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import Settings
 from irgspp.core.stages.second.solver import light_materials
+from irgspp.core.stages.second.solver.multi_view_samples import MultiViewSamples
 
 SETTINGS = with_overrides(Settings(), ["second.points=150", "second.rows=4"])
 
@@ -86,6 +88,23 @@ def test_an_object_is_metal_only_by_clear_evidence(sphere, sphere_dataset, camer
     solved, _ = light_materials.solve_light_materials(make(True), surface, sphere_dataset(camera_ring(12, size=48)), SETTINGS, listener)
     assert tried == [True, False] and any(words in text for text in listener.messages)
     assert float(solved.metallic.mean()) == expected
+
+
+@pytest.mark.parametrize(("flash", "clipped", "lit"), [(1.0, False, True), (0.7, False, True), (0.0, False, False), (1.0, True, False)])
+def test_light_at_the_camera_is_told_by_samples_that_are_not_clipped(flash, clipped, lit):
+    """Points of a sphere of random albedo, under a flash, or partly or all under a light from everywhere."""
+    random, views = np.random.default_rng(0), 12
+    normal = unit_vectors(random.normal(size=(400, 3))).repeat(views, 0)
+    view = unit_vectors(normal + 0.8 * unit_vectors(random.normal(size=normal.shape)))
+    radiance = (1 - flash + flash * (normal * view).sum(-1)) * random.uniform(0.2, 0.8, 400).repeat(views)
+    place, towards, colour = (torch.tensor(part, dtype=torch.float32) for part in (normal[::views], view, np.stack([radiance] * 3, -1)))
+    point = torch.arange(400).repeat_interleave(views)
+    samples = MultiViewSamples(place, place, point, towards, colour, torch.full(colour.shape, clipped))
+    assert light_materials._is_lit_from_camera(samples) is lit
+
+
+def unit_vectors(vectors):
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
 
 
 def test_metal_that_the_first_stage_found_too_is_not_doubted(sphere, sphere_dataset, camera_ring, tried, monkeypatch):
