@@ -4,7 +4,8 @@
 The unknowns are a displacement of each vertex along its normal and its log albedo; the normals follow from the gradient of the
 displacement, so that they belong to a surface (shape from shading, with a known light). Albedo and shading are told apart by colour:
 shading under a nearly white light does not change the chromaticity, paint mostly does, so that the albedo's luminance may vary between
-neighbours about as much as the chromaticity does around them. A painted surface therefore keeps its normals, a carved one moves.
+neighbours about as much as the chromaticity does around them. Grey paint does not differ in colour: there, normals turn as far as the
+coarser relief of the mesh explains its shading (`relief_evidence`). A painted surface therefore keeps its normals, a carved one moves.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from scipy.sparse.linalg import LinearOperator, cg
 from ....machine.thread_pool import run_jobs
 from ....scene.spherical_harmonics import sh_basis
 from ....scene.surface import Surface
+from .relief_evidence import relief_fraction
 from .surface_gradient import SurfaceGradient
 
 ITERATIONS = 4  # Gauss-Newton steps with new robust weights
@@ -33,6 +35,7 @@ DISPLACEMENT_DEVIATION, SLOPE_DEVIATION, LAPLACIAN_DEVIATION = 1.5, 0.25, 0.4
 # Standard deviation of the gradient over the root mean square of what was found with SLOPE_DEVIATION, which the prior shrinks.
 SLOPE_DEVIATION_RATIO = 7.0
 MAX_SLOPE_DEVIATION = 0.6  # standard deviation of the gradient, at most
+MIN_RELIEF = 0.02  # least fraction of these deviations, where nothing tells of relief
 ALBEDO_DEVIATION = 0.005  # standard deviation of log albedo along an edge where the chromaticity does not vary
 PAINT_LUMINANCE_RATIO = 10.0  # by which the luminance of paint varies more than its chromaticity
 CHROMATICITY_NOISE = 0.004  # of log chromaticity, along an edge
@@ -70,13 +73,14 @@ def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[in
     operators = SurfaceGradient.of(surface)
     irradiance = log_irradiance(shading.irradiance, surface.normals)[0]
     displacement, log_albedo = np.zeros(len(surface.vertices)), shading.log_radiance - irradiance
+    relief = relief_fraction(shading.log_radiance.mean(1), irradiance.mean(1), shading.precision > 0, operators)
     deviation = SLOPE_DEVIATION
     for repeated, steps in ((False, range(ITERATIONS)), (True, range(ITERATIONS, ITERATIONS + RELIEF_ITERATIONS))):
         if repeated:
             deviation = slope_deviation(operators.slope(displacement)[shading.precision > 0])
             if deviation <= SLOPE_DEVIATION:
                 break
-        prior = displacement_prior(operators, deviation)
+        prior = displacement_prior(operators, deviation, relief)
         for step in steps:
             system = _linearised(surface, shading, operators, prior, displacement, log_albedo, robust=step > 0)
             change = system.solved(CG_ITERATIONS)
@@ -92,20 +96,21 @@ def slope_deviation(slope: np.ndarray) -> float:
     return min(max(SLOPE_DEVIATION, SLOPE_DEVIATION_RATIO * found), MAX_SLOPE_DEVIATION)
 
 
-def displacement_prior(operators: SurfaceGradient, deviation: float) -> sparse.csr_matrix:
+def displacement_prior(operators: SurfaceGradient, deviation: float, relief: np.ndarray) -> sparse.csr_matrix:
     """Compute the prior of displacements.
 
     Args:
         operators: gradient operators of the surface.
         deviation: standard deviation of the displacement's gradient, in edges.
+        relief: (V,) 0..1, fractions of the deviations that apply.
 
     Returns:
         The matrix (V, V) whose quadratic form of a displacement in edges is its negative log prior, times 2.
     """
-    count = len(operators.average.indptr) - 1
-    bend = sparse.identity(count, format="csr") - operators.average
-    slope = sum((matrix.T @ matrix) / deviation**2 for matrix in operators.gradient)
-    return (slope + sparse.identity(count, format="csr") / DISPLACEMENT_DEVIATION**2 + (bend.T @ bend) / LAPLACIAN_DEVIATION**2).tocsr()
+    precision = sparse.diags(1 / np.maximum(relief, MIN_RELIEF) ** 2)
+    bend = sparse.identity(len(relief), format="csr") - operators.average
+    slope = sum((matrix.T @ precision @ matrix) / deviation**2 for matrix in operators.gradient)
+    return (slope + precision / DISPLACEMENT_DEVIATION**2 + (bend.T @ precision @ bend) / LAPLACIAN_DEVIATION**2).tocsr()
 
 
 def displaced_normals(normals: np.ndarray, slope: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
