@@ -15,6 +15,7 @@ from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
+import numpy as np
 import torch
 
 from ...io.run_files import FINE_SURFACE
@@ -133,12 +134,12 @@ def solve_in_closed_form(
     seen = without_held_back(dataset) if refined_later else dataset
     # The noise of a finer mesh's normals hides metal: on capture_ogre, albedo loses 1 dB with 70,000 triangles.
     solver, tracer = solve_light_materials(reconstruction, coarser(surface, MAX_SOLVED_TRIANGLES), seen, settings, progress)
-    metal = _is_metal(reconstruction, solver)
+    metal, relief = _is_metal(reconstruction, solver), None
     if not metal:
         on_step = partial(report_step, progress)
-        reconstruction, surface = improve_normals(reconstruction, surface, solver, tracer, seen, settings, progress, on_step)
+        reconstruction, surface, relief = improve_normals(reconstruction, surface, solver, tracer, seen, settings, progress, on_step)
         tracer = secondary_tracer(reconstruction, dataset, settings.second)  # turned surfels cover other pixels
-    starts = [_with_solved_materials(reconstruction, surface, solver, tracer, seen, settings, progress)]
+    starts = [_with_solved_materials(reconstruction, surface, relief, solver, tracer, seen, settings, progress)]
     if reconstruction.has_split_sum and solver.is_all_metal:
         starts = metal_starts(reconstruction, starts[0], solver)
     result, schedule_scale = refine(starts, dataset, tracer, settings, progress, deadline, None if metal else surface)
@@ -177,6 +178,7 @@ def _is_metal(reconstruction: Reconstruction, solver: LightMaterialSolver) -> bo
 def _with_solved_materials(
     reconstruction: Reconstruction,
     surface: Surface,
+    relief: np.ndarray | None,
     solver: LightMaterialSolver,
     tracer: SecondaryTracer,
     dataset: Dataset,
@@ -194,6 +196,7 @@ def _with_solved_materials(
         seed=settings.seed,
         on_fraction=lambda fraction: report_step(progress, int(100 * fraction)),
         subpixels=settings.first.subpixels,
+        relief=relief,
     )
     enlarged = solver.light_map(settings.second.light_height)
     require_finite({"a material": materials, "the light": enlarged}, "at the end of the second stage")

@@ -32,7 +32,7 @@ def improve_normals(
     settings: Settings,
     progress: Progress,
     on_step: Callable[[int], object],
-) -> tuple[Reconstruction, Surface]:
+) -> tuple[Reconstruction, Surface, np.ndarray | None]:
     """Turn the surface's normals so that they explain shading and reflections under the solved light, and the surfels after them.
 
     Where the light turns relative to the object, only the surfels turn, to the surface's normals.
@@ -48,18 +48,19 @@ def improve_normals(
         on_step: called with the number of steps done; may raise.
 
     Returns:
-        The reconstruction with turned surfels, and the surface, finer where shading turned its normals.
+        The reconstruction with turned surfels; the surface, finer where shading turned its normals; and how much of the radiance's variation
+        around each of its vertices is relief, (V,) in 0..1, None where shading did not turn them.
 
     Raises:
         Cancelled: the user stopped the work.
         IrgsppError: a value is not finite.
     """
-    second, gaussians = settings.second, reconstruction.gaussians
+    second, gaussians, relief = settings.second, reconstruction.gaussians, None
     if second.shading_normals > 0 and solver.transfer.rotations is None:  # the mean over views that it explains is of one light
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
         start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, on_step))
-        surface = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), on_step)
+        surface, relief = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), on_step)
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
         progress.message(f"shading and reflections turn the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
@@ -75,4 +76,4 @@ def improve_normals(
             on_step=on_step,
             subpixels=settings.first.subpixels,
         )
-    return replace(reconstruction, gaussians=gaussians), surface
+    return replace(reconstruction, gaussians=gaussians), surface, relief

@@ -59,7 +59,9 @@ class DiffuseShading:
     irradiance: np.ndarray
 
 
-def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[int], object] = lambda done: None) -> Surface:
+def fit_normals(
+    surface: Surface, shading: DiffuseShading, on_step: Callable[[int], object] = lambda done: None
+) -> tuple[Surface, np.ndarray]:
     """Turn the normals of a surface so that they explain its shading; vertices stay.
 
     Args:
@@ -68,7 +70,7 @@ def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[in
         on_step: called with the number of Gauss-Newton steps done; may raise.
 
     Returns:
-        The mesh with new normals.
+        The mesh with new normals, and how much of the radiance's variation around each vertex is relief, (V,) in 0..1 (`relief_fraction`).
     """
     operators = SurfaceGradient.of(surface)
     irradiance = log_irradiance(shading.irradiance, surface.normals)[0]
@@ -87,7 +89,7 @@ def fit_normals(surface: Surface, shading: DiffuseShading, on_step: Callable[[in
             displacement, log_albedo = displacement + change[:, 0], log_albedo + change[:, 1:]
             on_step(min(step + 1, ITERATIONS))
     normals, _ = displaced_normals(surface.normals, operators.slope(displacement))
-    return Surface(surface.vertices, normals, surface.faces, surface.voxel)
+    return Surface(surface.vertices, normals, surface.faces, surface.voxel), relief
 
 
 def slope_deviation(slope: np.ndarray) -> float:

@@ -42,6 +42,7 @@ def assign_materials(
     seed: int,
     on_fraction: Callable[[float], object],
     subpixels: int = 1,
+    relief: np.ndarray | None = None,
 ) -> torch.Tensor:
     """Assign materials to all Gaussians under the solved light.
 
@@ -56,13 +57,15 @@ def assign_materials(
         seed: seed of the random choice of views and of ray directions.
         on_fraction: called with the fraction done, 0..1.
         subpixels: rays along each side of a pixel with which the radiance was fitted.
+        relief: (V,) 0..1, how much of the radiance's variation around the surface's vertices is relief (`relief_fraction`); None: unknown.
 
     Returns:
         (5, N) albedo (3), roughness, metallic in 0..1.
     """
     g = reconstruction.gaussians
     position = g.position.T.contiguous().cpu().numpy()
-    samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels)
+    paint = None if relief is None else 1 - relief[KDTree(surface.vertices).query(position)[1]]
+    samples = sharp_samples(reconstruction, surface_normals(surface, position), views, tracer, seed, subpixels, paint)
     nearby = nearby_points(solver.samples.position, solver.roughness, solver.metallic, samples.position)
     dielectric, conductor = _fits(samples, nearby, tracer, solver, seed, on_fraction)
     metal = drawn_metal(samples.position, samples.sums(samples.colour) / samples.lengths[:, None], nearby, dielectric, conductor)

@@ -9,8 +9,8 @@ The SH of a Gaussian are fitted to all images, so they hold finer detail than a 
 
 Without this detail, the albedo of a glossy bowl with a fine pattern had 2 dB less.
 
-Detail of a glossy object that differs in brightness alone is not used: it is more likely the shading of a relief finer than the normals
-than pigment (Retinex, Land and McCann 1971). With it, the albedo of a stone face had 2 dB less.
+Detail of a glossy object that differs in brightness alone is not used where the mesh has relief: it is more likely the shading of a relief
+finer than the normals than pigment (Retinex, Land and McCann 1971). With it, the albedo of a stone face had 2 dB less.
 """
 
 from __future__ import annotations
@@ -43,7 +43,13 @@ MIN_RADIANCE, MAX_RATIO = 0.02, 1.0  # least radiance that detail is divided by,
 
 
 def sharp_samples(
-    reconstruction: Reconstruction, normal: np.ndarray, views: Sequence[View], tracer: SecondaryTracer, seed: int, subpixels: int
+    reconstruction: Reconstruction,
+    normal: np.ndarray,
+    views: Sequence[View],
+    tracer: SecondaryTracer,
+    seed: int,
+    subpixels: int,
+    paint: np.ndarray | None = None,
 ) -> MultiViewSamples:
     """Sample the images at the Gaussians that they show.
 
@@ -54,6 +60,7 @@ def sharp_samples(
         tracer: tracer of the Gaussians.
         seed: seed of the random choice of views.
         subpixels: rays along each side of a pixel with which the radiance was fitted.
+        paint: (N,) 0..1, how much of the radiance's variation around each is paint as the mesh has no such relief; None: unknown.
     """
     g, mirrored = reconstruction.gaussians, reconstruction.mirrored()
     position = g.position.T.contiguous().cpu().numpy()
@@ -67,7 +74,10 @@ def sharp_samples(
     images = (sh_image(reconstruction, view.camera, subpixels) for view in views)
     blurred = sample_images(position, normal, views, images, choice, device)
     detail = (1 - mirrored.material[METALLIC, chosen[samples.point], None]) * (own - blurred.colour)
-    detail = pigment_share(samples, detail)[samples.point, None] * detail
+    share = pigment_share(samples, detail)
+    if paint is not None:
+        share = torch.maximum(share, torch.from_numpy(paint).to(detail)[chosen])
+    detail = share[samples.point, None] * detail
     return replace(samples, colour=(samples.colour + detail).clamp_min(0))
 
 

@@ -46,7 +46,7 @@ def test_normals_and_painting_do_not_see_them_either(sphere, sphere_dataset, cam
 
     def improve(reconstruction, surface, solver, tracer, dataset, *_):
         counts.append(len(dataset.train))
-        return reconstruction, surface
+        return reconstruction, surface, None
 
     def paint(reconstruction, surface, views, *_, **options):
         counts.append(len(views))

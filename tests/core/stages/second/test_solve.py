@@ -72,7 +72,7 @@ def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, 
         g = reconstruction.gaussians
         turned = replace(g, log_scale=g.log_scale - 3.0)  # as far as rays go, like surfels seen from the side
         traced.append(tracer)
-        return replace(reconstruction, gaussians=turned), surface
+        return replace(reconstruction, gaussians=turned), surface, None
 
     def stop(gaussians, surface, views, tracer, *_, **options):
         traced.append(tracer)

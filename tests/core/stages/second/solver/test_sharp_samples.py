@@ -29,11 +29,11 @@ def patterned(splat_sphere, request):
     return Reconstruction(sphere, torch.full((8, 16, 3), 0.5), Bound((0, 0, 0), 1.0), np.eye(4), has_split_sum=True), colour, pigment
 
 
-def sampled(scene, cameras, added=0.0):
+def sampled(scene, cameras, added=0.0, paint=None):
     """Sample images of the scene's own SH, brighter by `added` in encoded values."""
     views = [View("a", c, Path("a.png"), sh_image(scene, c, 2) + np.float32(added), None) for c in cameras]
     normal = scene.gaussians.position.T.numpy().copy()
-    return sharp_samples(scene, normal, views, SecondaryTracer(scene), 0, 2)
+    return sharp_samples(scene, normal, views, SecondaryTracer(scene), 0, 2, paint)
 
 
 def gaussians_of(samples, scene):
@@ -48,6 +48,8 @@ def test_a_pattern_of_pigments_finer_than_pixels_is_seen(patterned, camera_ring)
     samples = sampled(scene, cameras)
     error = (samples.colour - colour[gaussians_of(samples, scene)]).abs()
     assert (error.max() < 0.01) if pigment else (error.median() > 0.1)  # a pixel mixes many surfels
+    told = sampled(scene, cameras, paint=np.ones(COUNT))  # the mesh has no relief
+    assert (told.colour - colour[gaussians_of(told, scene)]).abs().max() < 0.01
     brighter = sampled(scene, cameras, 0.1)
     assert (brighter.colour > samples.colour).float().mean() > 0.99  # what the SH do not explain stays
 
