@@ -64,7 +64,7 @@ class AlbedoDetail:
         texture = mesh.textures["albedo"]
         highest = np.iinfo(texture.dtype).max
         self._albedo = decode_srgb(np.arange(highest + 1, dtype=np.float32) / highest)[texture].astype(np.float32)
-        self._shading = VertexShading(*_lit(mesh, reconstruction))
+        self._shading, self._relief = VertexShading(*_lit(mesh, reconstruction)), reconstruction.relief
         self._shaded: dict[str, tuple[ViewShading, float]] = {}
         self._shift: dict[str, np.ndarray] = {}
         self.failed: dict[str, str] = {}
@@ -161,7 +161,7 @@ class AlbedoDetail:
             photographs: held back.
             albedo: (P, 3) linear, with detail.
         """
-        evidence, plain = Evidence(self._texels), self.plain
+        evidence, plain = Evidence(self._texels, self._relief), self.plain
         for photograph in photographs:
             held = Candidates.empty(len(self._texels.index), 1)
             if self.add(photograph, held):

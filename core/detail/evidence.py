@@ -26,6 +26,7 @@ MIN_TEXELS = 500  # texels that the held-back photographs must show
 # luminance varies by .05 on a carved face, with .2 of that in chromaticity; .4 and .5 on a print, .7 of it on a painted figure.
 MIN_PAINT_CHROMATICITY = 0.35  # chromaticity over luminance from which fine detail is paint
 MIN_PAINT_CONTRAST = 0.2  # standard deviation of log luminance from which it is paint also without colour
+MAX_RELIEF = 0.5  # `Reconstruction.relief` below which it is paint, too: the mesh has no relief that the photographs show
 ALBEDO_FLOOR = 0.02  # albedo added inside the logarithm
 FINE_SIGMA = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface
 SIGMA_RANGE = 1.5, 16.0  # least and greatest standard deviation of that filter, texels
@@ -37,6 +38,7 @@ class Evidence:
 
     Attributes:
         texels: texels of the textures.
+        relief: how much of the fine variation of radiance is relief, 0..1; None where it is unknown.
         sums: (2, 3) sums of products of fine detail over the compared texels, for the new and the old texture: with the photograph, with
             itself, and the photograph with itself.
         squares: (2,) sums of squares of the new texture's fine detail over the compared texels: of log luminance, and of log chromaticity.
@@ -44,6 +46,7 @@ class Evidence:
     """
 
     texels: MeshTexels
+    relief: float | None = None
     sums: np.ndarray = field(default_factory=lambda: np.zeros((2, 3)))
     squares: np.ndarray = field(default_factory=lambda: np.zeros(2))
     compared: int = 0
@@ -79,7 +82,9 @@ class Evidence:
 
     @property
     def painted(self) -> bool:
-        """False where the fine detail may be the shading of relief: weak, and of hardly any colour."""
+        """False where the fine detail may be the shading of relief: weak, and of hardly any colour, on a surface with relief."""
+        if self.relief is not None and self.relief < MAX_RELIEF:
+            return True
         luminance, chromaticity = np.sqrt(self.squares / max(self.compared, 1))
         return bool(luminance >= MIN_PAINT_CONTRAST or chromaticity >= MIN_PAINT_CHROMATICITY * luminance)
 

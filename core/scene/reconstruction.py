@@ -76,6 +76,7 @@ class Reconstruction:
         confidence: (3, N) float32 of each surfel's albedo, roughness and metallic, in 0..1: how well the photographs bear them out, see
             `core/stages/second/refinement/material_confidence.py`; None where it was not measured.
         brdf: reflectance model that the materials belong to: they were fitted with it, and are relit with it.
+        relief: how much of the fine variation of radiance is relief and not paint, 0..1, median over the surface; None where it is unknown.
     """
 
     gaussians: Gaussians
@@ -87,6 +88,7 @@ class Reconstruction:
     reflections: Reflections | None = None
     confidence: torch.Tensor | None = None
     brdf: Brdf = "principled"
+    relief: float | None = None
 
     def environment_map(self) -> np.ndarray:
         """Return the light as a numpy array (H, W, 3) float32."""
@@ -140,6 +142,7 @@ class Reconstruction:
             "background": self.background is not None,
             "reflections": self.reflections is not None,
             "brdf": self.brdf,
+            "relief": self.relief,
         }
         write_atomic(folder / "reconstruction.json", json.dumps(about, indent=1).encode())
 
@@ -159,6 +162,7 @@ class Reconstruction:
             to_world, has_split_sum = np.array(about["to_world"], float).reshape(4, 4), bool(about["glossy"])
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
             brdf = about.get("brdf", "principled")  # runs of earlier versions have no other
+            relief = None if about.get("relief") is None else float(about["relief"])  # theirs is unknown
         except FileNotFoundError as error:
             raise InputError(path, "no such file", "give the folder of a finished run") from error
         except (OSError, KeyError, ValueError, TypeError) as error:
@@ -170,4 +174,4 @@ class Reconstruction:
         environment = torch.from_numpy(read_exr_rgb(folder / "environment.exr"))
         gaussians, confidence = load_surfels(folder / "gaussians.ply")
         reflections = Reflections.load(folder / "reflections.npz", gaussians.count) if has_reflections else None
-        return cls(gaussians, environment, bound, to_world, has_split_sum, background, reflections, confidence, brdf)
+        return cls(gaussians, environment, bound, to_world, has_split_sum, background, reflections, confidence, brdf, relief)

@@ -120,3 +120,6 @@ def test_weak_detail_without_colour_may_be_shading(written, strength, colour, pa
     evidence.add(held, albedo.astype(np.float32), np.full((count, 3), 0.3, np.float32))
     assert evidence.correlations[0] > 0.9 and evidence.painted is painted and evidence.convincing(MIN_CORRELATION_GAIN) is painted
     assert ("shading of fine relief" in evidence.reason) is not painted
+    carved, flat = replace(evidence, relief=0.9), replace(evidence, relief=0.2)
+    assert carved.painted is painted and carved.reason == evidence.reason
+    assert flat.painted and flat.convincing(MIN_CORRELATION_GAIN)  # the mesh has no relief, so it is paint

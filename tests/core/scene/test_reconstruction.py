@@ -149,6 +149,18 @@ def test_the_floor_is_kept_and_runs_of_earlier_versions_have_none(tmp_path):
     assert Reconstruction.load(tmp_path).bound == made.bound
 
 
+def test_how_much_is_relief_is_kept_and_unknown_in_runs_of_earlier_versions(tmp_path):
+    replace(make(), relief=0.25).save(tmp_path)
+    assert Reconstruction.load(tmp_path).relief == 0.25
+    path = tmp_path / "reconstruction.json"
+    about = json.loads(path.read_text())
+    del about["relief"]
+    path.write_text(json.dumps(about))
+    assert Reconstruction.load(tmp_path).relief is None
+    make().save(tmp_path)
+    assert Reconstruction.load(tmp_path).relief is None
+
+
 def test_the_brdf_of_the_materials_is_kept(tmp_path):
     given = replace(make(), brdf="irgs")
     given.save(tmp_path)

@@ -48,8 +48,8 @@ def improve_normals(
         on_step: called with the number of steps done; may raise.
 
     Returns:
-        The reconstruction with turned surfels; the surface, finer where shading turned its normals; and how much of the radiance's variation
-        around each of its vertices is relief, (V,) in 0..1, None where shading did not turn them.
+        The reconstruction with turned surfels and its `relief`; the surface, finer where shading turned its normals; and how much of the
+        radiance's variation around each of its vertices is relief, (V,) in 0..1, None where shading did not turn them.
 
     Raises:
         Cancelled: the user stopped the work.
@@ -60,7 +60,10 @@ def improve_normals(
         progress.phase("normals", ITERATIONS)
         before = subdivided(surface)
         start = subdivided(turn_to_reflections(surface, solver, dataset.train, tracer, settings.seed, on_step))
-        surface, relief = fit_normals(start, observe_diffuse_shading(start, solver, dataset.train, tracer), on_step)
+        shading = observe_diffuse_shading(start, solver, dataset.train, tracer)
+        surface, relief = fit_normals(start, shading, on_step)
+        if (shading.precision > 0).any():
+            reconstruction = replace(reconstruction, relief=float(np.median(relief[shading.precision > 0])))
         turned = np.degrees(np.arccos(np.clip((before.normals * surface.normals).sum(1), -1, 1)))
         progress.message(f"shading and reflections turn the surface's normals by {turned.mean():.1f} degrees on average")
         gaussians = follow_normals(gaussians, before, surface, second.shading_normals)
