@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from ...progress.protocol import Progress
 from ...scene.dataset import Dataset, light_rotations
@@ -21,9 +22,21 @@ TURNING_LIGHT_MARGIN = 1.0
 MIN_METAL_DECIBELS = 2.0
 
 
+class SelectedClass(NamedTuple):
+    """Material class of an object.
+
+    Attributes:
+        material_class: the class.
+        gloss_gain: dB by which trial fits as glossy predict held-back views better than as low-gloss; 0 where these were not made.
+    """
+
+    material_class: MaterialClass
+    gloss_gain: float = 0.0
+
+
 def select_material_class(
     dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool = False
-) -> MaterialClass:
+) -> SelectedClass:
     """Select the object's material class: fit every allowed class briefly and take the one that predicts held-back views best.
 
     Glossy is the rule: SH that explain all shading fit a brief trial as well, but leave worse normals and materials in the end. So
@@ -47,9 +60,9 @@ def select_material_class(
     classes = allowed_material_classes(settings.materials)
     if not dataset.has_alpha:
         progress.message(f"materials: {classes[0].name}; without masks the background would be taken for reflections")
-        return material_class_named(classes[0].name, dataset)
+        return SelectedClass(material_class_named(classes[0].name, dataset))
     if len(classes) == 1 or len(dataset.train) < MIN_HOLD_BACK_VIEWS:
-        return classes[0]
+        return SelectedClass(classes[0])
     fits = {m.name: prepare_trial(dataset, settings, gaussians, m, crop) for m in classes}
     progress.phase("materials", settings.first.trial_iterations)
     score, given_up = run_trials(fits, settings, progress)
@@ -58,7 +71,8 @@ def select_material_class(
     margins = _margins(settings.first.trial_margin, turns)
     best = _choose(score, margins, turns)
     progress.message(_choice_in_words(score, best, margins))
-    return next(m for m in classes if m.name == best)
+    gain = score[GLOSSY.name] - score[LOW_GLOSS.name] if {GLOSSY.name, LOW_GLOSS.name} <= score.keys() else 0.0
+    return SelectedClass(next(m for m in classes if m.name == best), gain)
 
 
 def _margins(margin: float, turns: bool) -> dict[str, float]:

@@ -28,6 +28,7 @@ class StartTrials:
         settings: settings of the job.
         material_class: class of the object.
         crop: crop the images to the object.
+        gloss_gain: see `SelectedClass`.
         fits: what has been fitted, by start.
         layered: regions in several layers, by the positions of a start's surfels.
     """
@@ -36,6 +37,7 @@ class StartTrials:
     settings: Settings
     material_class: MaterialClass
     crop: bool = False
+    gloss_gain: float = 0.0
     fits: dict[Start, Trainer] = field(default_factory=dict)
     layered: dict[torch.Tensor, list[np.ndarray]] = field(default_factory=dict)
 

@@ -114,8 +114,8 @@ def _selected(
     dataset: Dataset, settings: Settings, gaussians: Gaussians, progress: Progress, crop: bool
 ) -> tuple[MaterialClass, Start, float]:
     """Return what trial fits select: the material class, the start, and the part of the schedule in which edges are open."""
-    material_class = select_material_class(dataset, settings, gaussians, progress, crop)
-    trials = StartTrials(dataset, settings, material_class, crop)
+    material_class, gloss_gain = select_material_class(dataset, settings, gaussians, progress, crop)
+    trials = StartTrials(dataset, settings, material_class, crop, gloss_gain)
     start = select_start(gaussians, trials, progress)
     start = select_metal(start, trials, progress)
     start = select_spheres(start, trials, progress)

@@ -8,7 +8,7 @@ from irgspp.core.settings.overrides import with_overrides
 from irgspp.core.settings.schema import preset
 from irgspp.core.stages.first import start_selection
 from irgspp.core.stages.first.initialization import initial_gaussians
-from irgspp.core.stages.first.material_class import LOW_GLOSS
+from irgspp.core.stages.first.material_class import GLOSSY, LOW_GLOSS
 from irgspp.core.stages.first.start_trials import StartTrials
 from irgspp.core.stages.first.stereo_start import StereoStart
 from recorded_decisions import RecordedDecisions
@@ -92,12 +92,15 @@ def test_without_trials_a_vessel_is_taken_where_depths_tell_it(scene, monkeypatc
     assert progress.found["stereo"][1].startswith("50.0% of the surfels of " + ("vessel" if told else "closed"))
 
 
-@pytest.mark.parametrize(("starts", "size"), [(1, 1), (2, 2)])
-def test_without_trials_the_start_with_most_points_is_taken(scene, psnr, monkeypatch, starts, size):
+@pytest.mark.parametrize(("starts", "gloss_gain", "size"), [(1, 0.0, 1), (2, 0.0, 2), (2, 0.5, 2), (2, 0.9, 1)])
+def test_without_trials_all_points_are_taken_and_those_of_regions_on_a_clearly_glossy_object(
+    scene, psnr, monkeypatch, starts, gloss_gain, size
+):
     psnr |= {name: 30.0 for name in ("one", "other")[:starts]}  # the number of starts
     monkeypatch.setattr(StartTrials, "compare", lambda *_, **__: pytest.fail("a trial was run"))
     progress, settings = RecordedDecisions(), with_overrides(SETTINGS, ["first.start_trials=false"])
-    assert start_selection.select_start(scene[1], StartTrials(scene[0], settings, LOW_GLOSS), progress).gaussians.count == size
+    trials = StartTrials(scene[0], settings, GLOSSY, gloss_gain=gloss_gain)
+    assert start_selection.select_start(scene[1], trials, progress).gaussians.count == size
     on, evidence = progress.found["stereo"]
     assert on
     assert evidence.endswith("lie on its points")

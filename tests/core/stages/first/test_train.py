@@ -17,7 +17,7 @@ from irgspp.core.stages.common.training_view import border_radiance, make_traini
 from irgspp.core.stages.first import trainer as trainer_module
 from irgspp.core.stages.first.initialization import initial_gaussians
 from irgspp.core.stages.first.material_class import GEOMETRY_RATES, GLOSSY, LOW_GLOSS, METAL, allowed_material_classes
-from irgspp.core.stages.first.material_class_selection import select_material_class
+from irgspp.core.stages.first.material_class_selection import SelectedClass, select_material_class
 from irgspp.core.stages.first.train import train
 from irgspp.core.stages.first.trainer import RATES_CHOSEN_AT, Trainer
 from irgspp.core.stages.first.trial_fits import subsample
@@ -85,7 +85,7 @@ def test_stopped_fit_goes_on_with_the_edges_that_a_trial_chose(sphere_dataset, c
 def test_stopped_fit_goes_on_with_the_metal_that_a_trial_chose(sphere_dataset, camera_ring, monkeypatch):
     dataset, chosen = sphere_dataset(camera_ring(9, 32)), settings("materials=glossy")
     left = lambda start, *_: replace(start, metal=start.gaussians.position[0] < 0)  # noqa: E731
-    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *_: GLOSSY)
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *_: SelectedClass(GLOSSY))
     monkeypatch.setattr("irgspp.core.stages.first.train.select_metal", left)
     whole, _ = train(dataset, chosen)
     memory = stopped(dataset, chosen)
@@ -148,18 +148,20 @@ def test_a_mirror_is_distinguished_from_paint(sphere_dataset, camera_ring):
     mirror = mirror_photographs(cameras, [view.alpha for view in painted.train])
     chosen = settings("first.trial_iterations=60", "first.trial_gaussians=1500", "first.gaussians=1500")
     start = initial_gaussians(painted, 1500, np.random.default_rng(0))
-    assert select_material_class(painted, chosen, start, Silent()) is LOW_GLOSS
-    assert select_material_class(mirror, chosen, start, Silent()).split_sum
+    painted_class, mirror_class = (select_material_class(data, chosen, start, Silent()) for data in (painted, mirror))
+    assert painted_class.material_class is LOW_GLOSS
+    assert mirror_class.material_class.split_sum
+    assert mirror_class.gloss_gain > painted_class.gloss_gain
 
 
 def test_what_is_given_is_not_tried(sphere_dataset, camera_ring):
     dataset = sphere_dataset(camera_ring(9, 32))
     start = initial_gaussians(dataset, 400, np.random.default_rng(0))
-    assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()) is LOW_GLOSS
+    assert select_material_class(dataset, settings("materials=low-gloss"), start, Silent()).material_class is LOW_GLOSS
     assert {m.split_sum for m in allowed_material_classes("glossy")} == {True}
     unmasked = sphere_dataset(camera_ring(9, 32), masked=False)
-    selected = select_material_class(unmasked, settings(), start, Silent())
-    assert (selected.name, selected.position) == (LOW_GLOSS.name, GLOSSY.position)
+    selected, gain = select_material_class(unmasked, settings(), start, Silent())
+    assert (selected.name, selected.position, gain) == (LOW_GLOSS.name, GLOSSY.position, 0)
 
 
 def test_subsample_surfels_cover_the_same_area(splat_sphere):
@@ -225,10 +227,10 @@ def test_a_hopeless_material_class_is_given_up_and_others_go_on(sphere_dataset, 
     monkeypatch.setattr(Trainer, "step", counted)
     monkeypatch.setattr(Trainer, "test", lambda self: {"low-gloss": 30.0, "glossy": 29.0, "metal": 20.0}[self.material_class.name])
     chosen = settings("first.trial_iterations=10", "first.trial_gaussians=100")
-    assert select_material_class(dataset, chosen, start, Silent()) is LOW_GLOSS
+    assert select_material_class(dataset, chosen, start, Silent()).material_class is LOW_GLOSS
     assert steps == {"low-gloss": 10, "glossy": 10, "metal": 3}
     steps |= dict.fromkeys(steps, 0)
-    assert select_material_class(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()) is LOW_GLOSS
+    assert select_material_class(dataset, with_overrides(chosen, ["skip.trials=off"]), start, Silent()).material_class is LOW_GLOSS
     assert set(steps.values()) == {10}
 
 
@@ -241,8 +243,9 @@ def test_a_turning_light_needs_more_evidence_of_gloss(sphere_dataset, camera_rin
     for psnr, found in ((31.0, ("glossy", "low-gloss")), (32.0, ("glossy", "glossy"))):
         scores = {"low-gloss": 30.0, "glossy": psnr, "metal": 20.0}
         monkeypatch.setattr(Trainer, "test", lambda self, scores=scores: scores[self.material_class.name])
-        selected = [select_material_class(data, chosen, start, Silent()).name for data in (dataset, turning)]
-        assert tuple(selected) == found
+        selected = [select_material_class(data, chosen, start, Silent()) for data in (dataset, turning)]
+        assert tuple(one.material_class.name for one in selected) == found
+        assert [one.gloss_gain for one in selected] == [psnr - 30.0] * 2
 
 
 def test_a_time_sets_the_schedule_which_a_checkpoint_keeps(sphere_dataset, camera_ring, monkeypatch):
@@ -333,5 +336,5 @@ def test_first_part_of_the_schedule_renders_single_rays(sphere_dataset, camera_r
 
 @pytest.mark.parametrize(("material_class", "scale"), [(LOW_GLOSS, 1), (METAL, 2)])
 def test_metal_takes_a_longer_schedule(sphere_dataset, camera_ring, monkeypatch, material_class, scale):
-    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *args: material_class)
+    monkeypatch.setattr("irgspp.core.stages.first.train.select_material_class", lambda *args: SelectedClass(material_class))
     assert train(sphere_dataset(camera_ring(9, 32)), settings("first.iterations=6"))[1] == scale
