@@ -26,7 +26,7 @@ from .vessel import MIN_RELATIVE_DEPTH, MIN_TELLING_DEPTH
 HOLLOW_MARGIN = 0.2
 # dB by which an object must fit better as glossy than as low-gloss so that, without trials of starts, only regions start on stereo's
 # points: stereo matches reflections. Relit images of drafts by regions, and on all points: a gamepad of black gloss (2.0 dB) 32.2, 29.9 dB,
-# the built-in glossy scene (1.8) 23.3, 20.0 dB, a glazed vase (.85) 32.7, 30.2 dB. Nine other objects fit better as glossy by .46 dB at most.
+# the built-in glossy scene (1.8) 23.3, 20.0 dB, a glazed vase (.85) 32.7, 30.2 dB. Nine others fit better as glossy by .46 dB at most.
 CLEAR_GLOSS = 0.65
 NOT_BETTER = "in no region does stereo fit the photographs better than the visual hull and differ from it by more than a pixel"
 
