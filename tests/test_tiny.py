@@ -56,6 +56,7 @@ def test_job_leaves_a_complete_run_folder(run):
     assert (run / "scene.blend").exists() or state["skipped"][0]["what"] == "scene.blend"
     assert not [path for path in run.rglob("*") if ".part" in path.name]
     steps = [e for line in (run / "events.jsonl").read_text().splitlines() if "loss" in (e := json.loads(line))]
+    assert 0 <= json.loads((run / "reconstruction.json").read_text())["relief"] < 0.75  # painted and smooth
     assert steps[-1]["step"] == 250
     assert steps[-1]["loss"] < 0.6 * steps[0]["loss"]
 

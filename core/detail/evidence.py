@@ -27,7 +27,7 @@ MIN_TEXELS = 500  # texels that the held-back photographs must show
 MIN_PAINT_CHROMATICITY = 0.35  # chromaticity over luminance from which fine detail is paint
 MIN_PAINT_CONTRAST = 0.2  # standard deviation of log luminance from which it is paint also without colour
 # `Reconstruction.relief` below which it is paint, too: the mesh has no relief that the photographs show. It is 1.0 on igea_relief, carved
-# granite and plaster, .54 on concrete of weak grey texture without relief, .42 at most on nine other objects.
+# granite and plaster, .54 on concrete of weak grey texture without relief, .42 at most on eight other objects.
 MAX_RELIEF = 0.75
 ALBEDO_FLOOR = 0.02  # albedo added inside the logarithm
 FINE_SIGMA = 1.5  # standard deviation of the high-pass filter, in pixels of the photographs on the surface

@@ -163,6 +163,8 @@ class Reconstruction:
             has_background, has_reflections = bool(about["background"]), bool(about["reflections"])
             brdf = about.get("brdf", "principled")  # runs of earlier versions have no other
             relief = None if about.get("relief") is None else float(about["relief"])  # theirs is unknown
+            if relief is not None and not 0 <= relief <= 1:
+                raise ValueError(f"its relief is {relief}, must be 0 to 1")
         except FileNotFoundError as error:
             raise InputError(path, "no such file", "give the folder of a finished run") from error
         except (OSError, KeyError, ValueError, TypeError) as error:

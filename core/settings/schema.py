@@ -67,7 +67,7 @@ class FirstStageSettings:
     subpixels: Annotated[int, Range(1, 8)] = 2  # rays along each side of a pixel of all fits to images, at most (skip.subpixels)
     single_rays: Annotated[float, Range(0, 1)] = 0.4  # first part of the schedule, with one ray per pixel, which takes half the time
     stereo: Choice = "auto"  # start on the points of dense stereo; auto: where photographs agree better at their depth
-    start_trials: bool = True  # with masks: trial fits decide between starts, and on metal and edges; off: on stereo's points
+    start_trials: bool = True  # with masks: trial fits decide between starts, and on metal and edges; off: start on stereo's points
     stereo_margin: Annotated[float, Range(0)] = 0.0  # without masks: dB of PSNR on held-back views by which a trial fit must be better
     normal_weight: Annotated[float, Range(0)] = 0.2  # loss weight: splatted normals agree with normals of the depth
     distortion_weight: Annotated[float, Range(0)] = 0.0  # loss weight: depth distortion (2DGS), per squared scene radius

@@ -27,7 +27,8 @@ class SelectedClass(NamedTuple):
 
     Attributes:
         material_class: the class.
-        gloss_gain: dB by which trial fits as glossy predict held-back views better than as low-gloss; 0 where these were not made.
+        gloss_gain: dB by which a trial fit as glossy predicts held-back views better than one as low-gloss, each at its end or where it was
+            abandoned; 0 where these were not made.
     """
 
     material_class: MaterialClass
@@ -52,7 +53,7 @@ def select_material_class(
         crop: crop the images to the object.
 
     Returns:
-        The class.
+        The class, and how much better the object fits as glossy.
 
     Raises:
         Cancelled: the user stopped the work.

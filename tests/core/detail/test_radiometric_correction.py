@@ -106,6 +106,11 @@ def test_parts_behind_the_camera_are_left_out():
     assert (render_mesh_depth(vertices, np.array([[0, 1, 2]]), camera).triangle == -1).all()
 
 
+def test_the_evidence_knows_how_much_of_the_object_is_relief(written):
+    work = AlbedoDetail(written.mesh, replace(written.reconstruction, relief=0.25))
+    assert work.held_back([], work.plain).relief == 0.25
+
+
 @pytest.mark.parametrize(("strength", "colour", "painted"), [(0.05, 0.0, False), (0.05, 0.5, True), (0.4, 0.0, True)])
 def test_weak_detail_without_colour_may_be_shading(written, strength, colour, painted):
     """All photographs agree about it, as they do about the shading of relief under a light that stands still."""

@@ -159,6 +159,10 @@ def test_how_much_is_relief_is_kept_and_unknown_in_runs_of_earlier_versions(tmp_
     assert Reconstruction.load(tmp_path).relief is None
     make().save(tmp_path)
     assert Reconstruction.load(tmp_path).relief is None
+    for broken in (1.5, -0.1, float("nan"), "much"):
+        path.write_text(json.dumps({**about, "relief": broken}))
+        with pytest.raises(InputError, match=r"reconstruction\.json: not readable"):
+            Reconstruction.load(tmp_path)
 
 
 def test_the_brdf_of_the_materials_is_kept(tmp_path):

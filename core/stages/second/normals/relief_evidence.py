@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Relief evidence: how much of the photographs' fine shading is relief, by the coarser relief that the mesh already has.
 
-Relief and grey paint change the radiance of a point alike, so that one light does not tell them apart there. But relief is never fine
+Relief and grey paint change the radiance of a point alike, so that one light does not tell them apart there. But relief is rarely fine
 alone: the mesh, which stereo and the first stage found without shading, has its coarser part, and the photographs show the shading of
-this part. On paint, the mesh is smooth or its noise has nothing to do with the photographs.
+this part. On paint, the mesh is smooth or its noise has nothing to do with the photographs. Fine relief of which the mesh has no trace is
+taken for paint.
 """
 
 from __future__ import annotations
@@ -13,9 +14,12 @@ from scipy import sparse
 
 from .surface_gradient import SurfaceGradient
 
-# Numbers of smoothing passes between which lies the band of wavelengths that is compared, and those of the window around a vertex.
+# Numbers of smoothing passes between which lies the band of wavelengths that is compared, and those of the window around a vertex. They
+# spread a value by about 1.4, 2.8 and 7 edges (standard deviation).
 FINE_PASSES, COARSE_PASSES, WINDOW_PASSES = 8, 32, 200
-RELIEF_CORRELATION = 0.4  # squared correlation from which on all shading is taken for relief; the mesh's relief is not exact
+# Squared correlation from which on all shading is taken for relief, since the mesh's relief is not exact: .56 in the median of igea_relief,
+# .06 of blocks with grey and coloured paint.
+RELIEF_CORRELATION = 0.4
 MIN_VARIANCE = 1e-12  # of log radiance and log irradiance
 
 

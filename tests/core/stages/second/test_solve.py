@@ -66,16 +66,17 @@ def test_the_setting_chooses_the_solver(sphere, sphere_dataset, camera_ring, mon
 
 def test_materials_are_assigned_by_the_pixels_that_turned_surfels_cover(sphere, sphere_dataset, camera_ring, monkeypatch):
     make, surface = sphere
-    traced = []
+    traced, relief = [], np.ones(len(surface.vertices))
 
     def turn(reconstruction, surface, solver, tracer, *_):
         g = reconstruction.gaussians
         turned = replace(g, log_scale=g.log_scale - 3.0)  # as far as rays go, like surfels seen from the side
         traced.append(tracer)
-        return replace(reconstruction, gaussians=turned), surface, None
+        return replace(reconstruction, gaussians=turned), surface, relief
 
     def stop(gaussians, surface, views, tracer, *_, **options):
         traced.append(tracer)
+        assert options["relief"] is relief
         raise Cancelled("enough")
 
     def solved(reconstruction, *_):
